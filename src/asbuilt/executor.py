@@ -133,8 +133,8 @@ class Workers:
                 yield Outcome(batch[0], problem=_reason(problem))
             return
         pace.add(len(batch), done.seconds)
-        for task, result, problem in zip(batch, done.results, done.problems, strict=True):
-            yield Outcome(task, result, problem)
+        for task, result, why in zip(batch, done.results, done.problems, strict=True):
+            yield Outcome(task, result, why)
 
     def _alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
         """Return the outcome of a task that is the only one under way."""

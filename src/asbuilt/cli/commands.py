@@ -214,7 +214,7 @@ SUBCOMMANDS: dict[str, dict[str, Entry]] = {
             "Reduce logs to their information and append it to a ledger.",
             (
                 "ledger ur10e logs/arm-7/*.parquet --id arm-7",
-                "s3://lab/ledger ur10e logs/*/*.csv --id-from {id}/*.csv --workers 8",
+                "s3://lab/fleet ur10e logs/*/*.csv --id-from {id}/*.csv",
             ),
             "add_logs",
         ),

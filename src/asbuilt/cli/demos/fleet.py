@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -26,7 +26,7 @@ from asbuilt.writers.tables.fleet_tables import addition_document
 Progress = Callable[[str, float], None]
 
 ROBOT = "ur10e"
-ROBOTS, DAYS = 10, 10
+ROBOTS, DAYS = range(1, 11), 10
 BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
 CHANGED, SINCE = 7, 6
 """The robot that changes, and the day from which it carries the tool."""
@@ -49,7 +49,11 @@ class FleetDemo:
 
 
 def run_fleet_demo(
-    folder: Path, *, progress: Progress | None = None, robots: int = ROBOTS, days: int = DAYS
+    folder: Path,
+    *,
+    progress: Progress | None = None,
+    robots: Sequence[int] = ROBOTS,
+    days: int = DAYS,
 ) -> FleetDemo:
     """Record virtual robots, add the logs to a ledger, and identify each robot from it.
 
@@ -60,14 +64,14 @@ def run_fleet_demo(
     progress
         Called with the name of each step and the fraction done.
     robots, days
-        How many.
+        Numbers of the robots, and how many days.
     """
     report, began = progress or (lambda what, fraction: None), time.perf_counter()
     logs = []
-    for k in range(1, robots + 1):
+    for k in robots:
         for day in range(1, days + 1):
             logs.append(_record(folder / "logs", k, day))
-            report("record the robots", len(logs) / (robots * days))
+            report("record the robots", len(logs) / (len(robots) * days))
     ledger = folder / "ledger"
     addition = add_logs(
         ledger,
@@ -79,8 +83,8 @@ def run_fleet_demo(
     )
     results, changes = {}, {}
     middle = BEGIN + timedelta(days=SINCE - 1)
-    for k in range(1, robots + 1):
-        report("identify each robot", k / robots)
+    for done, k in enumerate(robots, start=1):
+        report("identify each robot", done / len(robots))
         name = _name(k)
         results[name] = fleet_identify(ledger, name).result
         halves = (

@@ -134,7 +134,10 @@ def reduced_entry(
     """
     first = task.paths[0]
     model, (read,) = fitted_recordings(settings.described, (list(task.paths),), task.reading)
-    head = head_of(read[0])
+    logged = read[0]
+    if isinstance(logged, Samples):
+        raise RecordingError(f"{first} holds samples, not a recording")
+    head = head_of(logged)
     _check_fits(first, model, head, settings)
     began, date_from = log_date(
         first, head, task.date, find_sheet(first, task.reading.sheet)[0].date
