@@ -58,6 +58,14 @@ from .workflow.calibration import find_gains as find_gains
 from .workflow.calibration import identify_channels as identify_channels
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .workflow.fleet.identification import FleetIdentification as FleetIdentification
+from .workflow.fleet.identification import fleet_identify as fleet_identify
+from .workflow.fleet.ledger.ledger import Ledger as Ledger
+from .workflow.fleet.ledger.ledger import open_ledger as open_ledger
+from .workflow.fleet.overview import fleet_overview as fleet_overview
+from .workflow.fleet.reduction.add import FleetOptions as FleetOptions
+from .workflow.fleet.reduction.add import add_logs as add_logs
+from .workflow.fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
 from .workflow.masses.link_masses import link_masses as link_masses
 from .workflow.options import ChannelOptions as ChannelOptions
 from .workflow.options import ControllerOptions as ControllerOptions

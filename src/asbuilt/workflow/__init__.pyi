@@ -4,6 +4,14 @@ from .controller_model import ControllerComparison as ControllerComparison
 from .controller_model import compare_controller as compare_controller
 from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .fleet.identification import FleetIdentification as FleetIdentification
+from .fleet.identification import fleet_identify as fleet_identify
+from .fleet.ledger.ledger import Ledger as Ledger
+from .fleet.ledger.ledger import open_ledger as open_ledger
+from .fleet.overview import fleet_overview as fleet_overview
+from .fleet.reduction.add import FleetOptions as FleetOptions
+from .fleet.reduction.add import add_logs as add_logs
+from .fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
 from .information_efficiency import recorded_information as recorded_information
 from .masses.link_masses import LinkMasses as LinkMasses
 from .masses.link_masses import link_masses as link_masses

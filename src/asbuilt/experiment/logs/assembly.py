@@ -41,7 +41,7 @@ def build_recording(
     RecordingError
         If there is neither a time column nor a rate.
     """
-    notes = list(layout.notes)
+    notes, start = list(layout.notes), 0.0
     if layout.time is not None:
         t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
         start = origin if origin is not None else clock_origin(t)
@@ -79,6 +79,7 @@ def build_recording(
         notes=tuple(notes),
         extra=arrays,
         command=command,
+        started=start,
     )
 
 

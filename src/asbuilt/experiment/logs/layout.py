@@ -110,6 +110,9 @@ def find_layout(
     for quantity, group in chosen.items():
         if quantity == "position":
             continue
+        if quantity in sheet.columns.extra and len(group.names) == 1:
+            ordered[quantity] = (group.names[0],) * len(labels)
+            continue
         try:
             ordered[quantity] = _aligned(source, quantity, group, labels, sheet)
         except RecordingError:

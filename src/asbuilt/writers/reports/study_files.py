@@ -146,15 +146,33 @@ def write_study(
         return _write_members(folder, study, payload, command)
 
 
+def write_study_without_samples(
+    folder: Path, study: Study
+) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+    """Write the files of a study that need no samples, as those of a ledger.
+
+    These are result.json, summary.txt, parameters.csv, robot.toml and robot.urdf. Returns paths
+    and notes as `write_study`.
+    """
+    with file_set(folder, "result.json", MEMBERS, keep=study.result.model.source):
+        files = _write_tables(folder, study, None)
+        robots, notes = _write_robot(folder, study.result)
+        return files | robots, notes
+
+
+def _write_tables(folder: Path, study: Study, payload: Payload | None) -> dict[str, Path]:
+    return {
+        "result": write_result(folder / "result.json", study),
+        "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
+        "parameters": write_parameters_csv(folder / "parameters.csv", study.result),
+    }
+
+
 def _write_members(
     folder: Path, study: Study, payload: Payload | None, command: Sequence[str]
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     result = study.result
-    files = {
-        "result": write_result(folder / "result.json", study),
-        "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
-        "parameters": write_parameters_csv(folder / "parameters.csv", result),
-    }
+    files = _write_tables(folder, study, payload)
     if payload is not None:
         files["payload"] = write_json(folder / "payload.json", payload_document(payload))
     files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
