@@ -84,7 +84,12 @@ def conclude(
     base, design = information.base, design_values(model, information.base)
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
     if nonlinear is not None:
-        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + nonlinear.covariance)
+        beside, scatter = nonlinear.covariance, uncertainty.scatter
+        uncertainty = replace(
+            uncertainty,
+            covariance=uncertainty.covariance + beside,
+            scatter=None if scatter is None else scatter.beside(beside),
+        )
     parameters = _parameters(information, estimate, uncertainty, design)
     try:
         margin: float | None = consistency_margin(base, estimate.beta)
@@ -121,6 +126,7 @@ def conclude(
         findings=(*said, *findings),
         notes=(*estimate.notes, *notes),
         errors=uncertainty.basis,
+        scatter=uncertainty.scatter,
         free=(
             None
             if estimate.method == "wls"

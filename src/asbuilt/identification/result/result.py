@@ -22,6 +22,7 @@ from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.errors.block_scatter import BlockScatter
 from asbuilt.identification.errors.error_basis import ErrorBasis
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.free_values import FreeValues
@@ -139,6 +140,8 @@ class IdentificationResult:
     free
         The parameters by weighted least squares alone, for comparing results; None if `method` is
         that.
+    scatter
+        Errors of the time blocks, by which parameters are tested; None without blocks.
     """
 
     model: RobotModel
@@ -172,6 +175,7 @@ class IdentificationResult:
     cause_data: CauseData | None = None
     errors: ErrorBasis = field(default_factory=ErrorBasis)
     free: FreeValues | None = None
+    scatter: BlockScatter | None = None
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -193,6 +197,7 @@ class IdentificationResult:
         for name, count in (
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
+            ("block errors", p if self.scatter is None else self.scatter.moves.shape[1]),
         ):
             if count != p:
                 raise ResultError(
@@ -262,6 +267,15 @@ class IdentificationResult:
     def dropped(self) -> NDArray[np.bool_]:
         """Which parameters the estimator set to zero, shape (p,)."""
         return np.array([parameter.dropped for parameter in self.parameters])
+
+    @property
+    def degrees_of_freedom(self) -> Array:
+        """Degrees of freedom of each standard error, shape (p,); infinite without time blocks."""
+        return (
+            np.full(self.n_base, np.inf)
+            if self.scatter is None
+            else self.scatter.degrees_of_freedom
+        )
 
     @property
     def errors_sentence(self) -> str:
@@ -335,7 +349,14 @@ class IdentificationResult:
 
         Plain numbers, texts and lists, None for what is undefined.
         """
-        left_out = ("covariance", "textbook_covariance", "singular_values", "cause_data", "free")
+        left_out = (
+            "covariance",
+            "textbook_covariance",
+            "singular_values",
+            "cause_data",
+            "free",
+            "scatter",
+        )
         document = self._document()
         return {name: value for name, value in document.items() if name not in left_out}
 
