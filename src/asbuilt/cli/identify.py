@@ -104,6 +104,10 @@ def validate(
     ],
     log: Logs,
     *,
+    require: Annotated[
+        bool,
+        typer.Option("--require", help="exit with status 1 if the model predicts worse than CAD"),
+    ] = False,
     unchecked: Unchecked = False,
     reading: ReadingOptions,
     filtering: Filtering,
@@ -112,7 +116,9 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Predict recordings with an identified model, and with CAD beside it."""
+    from asbuilt.tables import wrapped
     from asbuilt.validation.comparison.comparison import compare
+    from asbuilt.validation.generalisation.cad_verdict import cad_verdict
     from asbuilt.workflow.validation import validate as validate_result
     from asbuilt.workflow.validation import validate_robot
     from asbuilt.writers.reports.study_files import write_validations
@@ -127,6 +133,10 @@ def validate(
         chain=filtering.chain() if any(filtering.given.values()) else None, checked=not unchecked
     )
     if Path(result).suffix.lower() != ".json":
+        refuse_idle(
+            "--require compares an identified model with CAD; a robot as described is CAD",
+            {"--require": require},
+        )
         if out is not None:
             raise UsageError(
                 "--out writes the predictions of a result; for a robot as described there is only"
@@ -146,16 +156,21 @@ def validate(
     )
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
+    verdicts = [cad_verdict(validation) for validation in validations]
     answer(
         as_json,
         lambda: validate_document(identified, validations, files=files),
         lambda: (
             comparison.torque_table().as_text(full)
             + "\n"
-            + comparison.verdict()
+            + "\n".join(wrapped(each.sentence) for each in verdicts)
+            + "\n"
+            + wrapped(comparison.verdict())
             + listed_files(files)
         ),
     )
+    if require and any(verdict.is_worse for verdict in verdicts):
+        raise typer.Exit(1)
 
 
 def compare(

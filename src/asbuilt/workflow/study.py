@@ -32,6 +32,7 @@ from asbuilt.identification.result.result import IdentificationResult, stored_do
 from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
+from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
@@ -246,6 +247,7 @@ def _concluded(
         holdout=prepared.holdout,
         digests=prepared.digests,
         notes=_notes(mounting, cutoffs),
+        corrected=() if mounting is None else ("mounting",),
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -266,6 +268,8 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *cause_findings(attribution),
+        *cad_verdict_findings(validations),
         *mass_findings(result),
     )
     report("compare", 1.0)

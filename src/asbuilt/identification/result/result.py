@@ -142,6 +142,8 @@ class IdentificationResult:
         that.
     scatter
         Errors of the time blocks, by which parameters are tested; None without blocks.
+    corrected
+        Causes of the CAD error that the model of the result has already (`mounting`: base tilt).
     """
 
     model: RobotModel
@@ -176,6 +178,7 @@ class IdentificationResult:
     errors: ErrorBasis = field(default_factory=ErrorBasis)
     free: FreeValues | None = None
     scatter: BlockScatter | None = None
+    corrected: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
