@@ -40,8 +40,9 @@ from asbuilt.validation.generalisation.generalisation import (
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
+from asbuilt.workflow.final_fit import fitted_to_everything
 from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.prepare import Prepared, Progress, prepare
+from asbuilt.workflow.prepare import AUTOMATIC, Prepared, Progress, divided, prepare
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -197,7 +198,11 @@ def identify(
         progress=report,
     )
     report("identify", 0.0)
-    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+    study = _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+    if options.holdout != AUTOMATIC or prepared.holdout is None or prepared.chain is None:
+        return study
+    whole, _ = divided(trained, prepared.chain, None)
+    return replace(study, **fitted_to_everything(study.result, study.findings, whole, options))
 
 
 def _concluded(

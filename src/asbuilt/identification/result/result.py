@@ -144,6 +144,9 @@ class IdentificationResult:
         Errors of the time blocks, by which parameters are tested; None without blocks.
     corrected
         Causes of the CAD error that the model of the result has already (`mounting`: base tilt).
+    trained
+        Base parameters (p,) of the fit that `validation` is of, if `parameters` are of a further
+        fit to everything; else None.
     """
 
     model: RobotModel
@@ -179,6 +182,7 @@ class IdentificationResult:
     free: FreeValues | None = None
     scatter: BlockScatter | None = None
     corrected: tuple[str, ...] = ()
+    trained: Array | None = None
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -200,6 +204,7 @@ class IdentificationResult:
         for name, count in (
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
+            ("trained values", p if self.trained is None else len(self.trained)),
             ("block errors", p if self.scatter is None else self.scatter.moves.shape[1]),
         ):
             if count != p:
