@@ -35,7 +35,9 @@ def test_parameters_are_of_everything_and_validation_is_of_the_rest(log) -> None
         np.testing.assert_array_equal(one.rms, other.rms)
     assert automatic.result.train.rms == pytest.approx(whole.result.train.rms)
     assert automatic.result.n_samples > divided.result.n_samples
-    assert "final fit to everything" in automatic.summary.as_text(full=True).replace("\n", " ")
+    assert "final fit to everything" in " ".join(
+        automatic.summary.as_text(full=True).split()
+    )
     assert "nothing_held_out" not in {finding.code for finding in automatic.findings}
 
 
