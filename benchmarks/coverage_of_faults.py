@@ -33,7 +33,7 @@ REPETITIONS = 40
 DURATION, RATE, NOISE, CORRELATION_TIME = 40.0, 200.0, 0.3, 0.1
 NORMAL_95 = 1.959964
 FITTED = DriveSet.parse("viscous,coulomb,offset")
-RICHER = DriveSet.parse("viscous,coulomb,offset,stribeck:velocity=0.1")
+RICHER = DriveSet.parse("viscous,coulomb,stribeck:velocity=0.1,offset")
 TILT, DELAY, COUNTS = np.deg2rad(0.5), 0.005, 4096
 NAMED = {
     "none": (),
@@ -48,10 +48,10 @@ NAMED = {
 def machine(model: RobotModel, fault: str) -> VirtualRobot:
     """Return the robot with its fault."""
     if fault == "tilt":
-        turned = Rotation.from_rotvec([TILT, 0.0, 0.0]).apply(model.gravity)
+        turned = Rotation.from_rotvec([TILT, 0.0, 0.0]).apply(np.array(model.gravity))
         model = model.with_gravity(turned)
     drive, values = (
-        (RICHER, [1.0, 2.0, 0.3, 1.0]) if fault == "stribeck" else (FITTED, [1.0, 2.0, 0.3])
+        (RICHER, [1.0, 2.0, 1.0, 0.3]) if fault == "stribeck" else (FITTED, [1.0, 2.0, 0.3])
     )
     return VirtualRobot.ideal(model).with_drive(drive, np.tile(values, model.n_joints))
 

@@ -12,7 +12,6 @@ from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.workflow.options import StudyOptions
 
-
 KEPT = ("Cutoff: ", "base tilt of ", "no significant base tilt")
 """How notes on choices begin that both fits share."""
 

@@ -38,6 +38,7 @@ from asbuilt.validation.generalisation.generalisation import (
     validation_findings,
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
+from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.final_fit import fitted_to_everything
@@ -274,6 +275,7 @@ def _concluded(
         ),
         *_gain_findings(training),
         *cause_findings(attribution),
+        *missing_effect_findings(result),
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )
