@@ -86,8 +86,8 @@ class ComparedValues:
 
     def test_against(self, values: Array) -> ChiSquare:
         """Test all determined parameters against `values` (p,) at once; NaN are left out."""
-        kept = self.determined & ~self.dropped & np.isfinite(values) & (self.std_errors > 0)
-        kept = np.flatnonzero(kept)
+        tested = self.determined & ~self.dropped & np.isfinite(values) & (self.std_errors > 0)
+        kept = np.flatnonzero(tested)
         difference = self.estimates[kept] - values[kept]
         if self.scatter is None:
             return chi_square(difference, self.covariance[np.ix_(kept, kept)])
