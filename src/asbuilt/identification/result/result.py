@@ -358,12 +358,8 @@ class IdentificationResult:
         Plain numbers, texts and lists, None for what is undefined.
         """
         left_out = (
-            "covariance",
-            "textbook_covariance",
-            "singular_values",
-            "cause_data",
-            "free",
-            "scatter",
+            *("covariance", "textbook_covariance", "singular_values", "cause_data"),
+            *("free", "scatter", "trained", "corrected"),
         )
         document = self._document()
         return {name: value for name, value in document.items() if name not in left_out}
