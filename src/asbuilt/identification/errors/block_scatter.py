@@ -122,3 +122,13 @@ def summed_degrees(*parts: tuple[Array, Array]) -> Array:
     spread = np.sum([variance**2 / freedom for variance, freedom in parts], axis=0)
     none = np.full(np.shape(total), np.inf)
     return np.asarray(np.divide(total**2, spread, out=none, where=spread > 0))
+
+
+def mean_degrees(degrees_of_freedom: Array) -> float:
+    """Return the harmonic mean of degrees of freedom; infinite if all are.
+
+    >>> mean_degrees(np.array([4.0, 12.0])), mean_degrees(np.array([np.inf, np.inf]))
+    (6.0, inf)
+    """
+    inverse = float(np.mean(1.0 / np.asarray(degrees_of_freedom, dtype=np.float64)))
+    return 1.0 / inverse if inverse > 0.0 else np.inf

@@ -16,6 +16,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import UsageError
 from asbuilt.identification.errors.block_scatter import (
+    mean_degrees,
     student_probability,
     summed_degrees,
     widening,
@@ -164,7 +165,7 @@ def check_tolerance(
 
     def together(factor: float) -> ChiSquare:
         whole = claimed(factor)
-        return chi_square(d, whole, 1.0 / float(np.mean(1.0 / degrees_of(whole))))
+        return chi_square(d, whole, mean_degrees(degrees_of(whole)))
 
     held, of_each = together(1.0), degrees_of(claimed(1.0))
     error = np.sqrt(np.diag(claimed(1.0)))

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.identification.errors.block_scatter import BlockScatter, summed_degrees, widening
+from asbuilt.identification.errors.block_scatter import (
+    BlockScatter,
+    mean_degrees,
+    summed_degrees,
+    widening,
+)
 from asbuilt.validation.comparison.significance import ChiSquare, chi_square, joint_test
 
 if TYPE_CHECKING:
@@ -145,7 +150,7 @@ class Between:
     @property
     def mean_degrees(self) -> float:
         """Harmonic mean of the degrees of freedom."""
-        return 1.0 / float(np.mean(1.0 / self.degrees_of_freedom))
+        return mean_degrees(self.degrees_of_freedom)
 
     @property
     def std_errors(self) -> Array:
@@ -171,7 +176,8 @@ class Between:
             (self.first.variances[self.one], self.first.scatter.degrees_alone[self.one]),
             (self.second.variances[self.two], self.second.scatter.degrees_alone[self.two]),
         )
-        part = float(np.mean((self.first.variances[self.one] / self._variances)[chosen]))
+        first = self.first.variances[self.one][chosen]
+        part = float(np.mean(first / self._variances[chosen])) if len(chosen) else 0.0
         common = (
             part**2 * self.first.scatter.common_variance
             + (1.0 - part) ** 2 * self.second.scatter.common_variance
