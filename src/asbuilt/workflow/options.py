@@ -59,7 +59,7 @@ def horizons(text: str) -> tuple[float, ...]:
 
 
 def _check_rule(rule: str | None) -> None:
-    if rule is not None:
+    if rule not in (None, "auto"):
         from asbuilt.experiment.signal.hold_out import parse_rule  # noqa: PLC0415 (heavy)
 
         parse_rule(rule)
@@ -80,7 +80,10 @@ ROLLOUT = {
 }
 HOLDOUT = {
     "metavar": "RULE",
-    "help": "hold out for validation: blocks:5s:3 (every third 5 s block) or last:0.3",
+    "help": (
+        "hold out for validation: blocks:5s:3 (every third 5 s block), last:0.3, or auto: a third,"
+        " then the final fit is to everything"
+    ),
 }
 
 
@@ -100,7 +103,8 @@ class StudyOptions:
     sweep_cutoff
         Choose the cutoff of the low-pass by held-out error.
     holdout
-        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out.
+        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out. "auto" holds out a
+        third for the verdict and then fits the final values to everything.
     undetermined
         Directions that no motion excites stay at CAD and are named, or are refused.
     mounting

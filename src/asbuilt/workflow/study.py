@@ -35,18 +35,21 @@ from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
+from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.consolidation import consolidated
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
+from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.delays import delay_findings
+from asbuilt.workflow.delays import Delays, delay_findings
+from asbuilt.workflow.final_fit import fitted_to_everything
 from asbuilt.workflow.options import BLOCKS, StudyOptions
-from asbuilt.workflow.prepare import Prepared, Progress, prepare
+from asbuilt.workflow.prepare import AUTOMATIC, Prepared, Progress, divided, prepare
 from asbuilt.workflow.servo import (
     explained,
     servo_delays,
@@ -238,18 +241,27 @@ def identify(
     if servo is not None:
         prepared = replace(prepared, delay=servo_delays(servo, trained, prepared.digests))
     report("identify", 0.0)
-    parts = trained_parts(trained, prepared.chain, options.holdout) if options.refine else ()
+    parts = trained_parts(trained, prepared.chain, prepared.holdout) if options.refine else ()
     settled = sweeps[0] if sweeps else None
     study = _concluded(model, prepared, options, settled, servo, report, parts)
-    if not options.rollout and not options.refine:
+    if options.rollout or options.refine:
+        report("roll out", 0.0)
+        held = held_out_parts(trained, others, prepared.chain, prepared.holdout)
+        if study.refined is not None:
+            study = replace(study, refined=judged(study.result, study.refined, held or parts))
+        rollouts = simulated_rollouts(study.result, held, options.rollout)
+        findings = ranked((*study.findings, *rollout_findings(rollouts)))
+        study = replace(study, rollouts=rollouts, findings=findings)
+    if options.holdout != AUTOMATIC or options.refine or not _held_out(prepared):
         return study
-    report("roll out", 0.0)
-    held = held_out_parts(trained, others, prepared.chain, options.holdout)
-    if study.refined is not None:
-        study = replace(study, refined=judged(study.result, study.refined, held or parts))
-    rollouts = simulated_rollouts(study.result, held, options.rollout)
-    findings = ranked((*study.findings, *rollout_findings(rollouts)))
-    return replace(study, rollouts=rollouts, findings=findings)
+    late = Delays(prepared.chain or SignalChain(), () if servo else prepared.delay)
+    everything = replace(prepared, training=divided(trained, late.chain, None, late)[0])
+    whole = explained(everything, trained, servo).training
+    return replace(study, **fitted_to_everything(study.result, study.findings, whole, options))
+
+
+def _held_out(prepared: Prepared) -> bool:
+    return prepared.holdout is not None and prepared.chain is not None
 
 
 def _concluded(
@@ -311,6 +323,7 @@ def _concluded(
         ),
         servo=None if servo is None else servo.servo,
         servo_errors=None if servo is None else servo.errors,
+        corrected=() if mounting is None else ("mounting",),
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -340,6 +353,9 @@ def _concluded(
         ),
         *servo_findings(model, servo, choice.drive),
         *refinement_findings(refined),
+        *cause_findings(attribution),
+        *missing_effect_findings(result),
+        *cad_verdict_findings(validations),
         *mass_findings(result),
     )
     report("compare", 1.0)
