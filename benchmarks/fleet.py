@@ -11,6 +11,8 @@ import heapq
 import json
 import os
 import resource
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -78,9 +80,9 @@ def speed(folder: Path, minutes: float, rate: float) -> dict[str, float]:
         "microseconds_per_sample": 1e6 * whole / n,
         "factor_share": factor / whole,
         "chain_and_factor_share": (chain + factor) / whole,
+        "log_mb": log.stat().st_size / 1e6,
         "entry_mb": entry / 1e6,
         "entry_of_raw_hour": entry / (3600.0 * rate * COLUMNS * 8),
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
 
 
@@ -93,6 +95,25 @@ def _cpu() -> float:
         used.ru_utime + used.ru_stime
         for used in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     )
+
+
+def memory(folder: Path, minutes: float, rate: float) -> dict[str, float]:
+    """Return the peak memory [MB] of a worker that reduces a log, its reader apart."""
+    log = write_log(folder / f"m{rate:.0f}_2026-03-01.parquet", 60.0 * minutes, rate, 1)
+    code = (
+        "import resource, sys; from asbuilt import add_logs, FleetOptions, ReadingOptions;"
+        f" done = add_logs(sys.argv[1], {ROBOT!r}, [sys.argv[2]], robot_id='R',"
+        " reading=ReadingOptions(torque_source='sensor'), fleet=FleetOptions(workers=0));"
+        " assert done.added, done.failed;"
+        " print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(folder / f"m{rate:.0f}"), str(log)],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return {"log_mb": log.stat().st_size / 1e6, "peak_mb": float(done.stdout)}
 
 
 def workers(folder: Path, count: int = 12) -> dict[str, float]:
@@ -160,15 +181,20 @@ def identify(folder: Path) -> dict[str, float]:
 
 
 def simulated(
-    seconds_per_sample: float, n_workers: int, *, store: float = 1.25e9, scheduler: float = 1e-3
+    seconds_per_sample: float,
+    size: float,
+    n_workers: int,
+    *,
+    store: float = 1.25e9,
+    scheduler: float = 1e-3,
 ) -> dict[str, float]:
     """Simulate 1000 arms over a year on some workers, log by log.
 
-    A log is first read from a store whose bandwidth [bytes/s] all share, then reduced; the
-    scheduler hands out one task after the other, `scheduler` seconds each.
+    A log of `size` bytes is read from a store whose bandwidth [bytes/s] all share, then reduced;
+    the scheduler hands out one task after the other, `scheduler` seconds each.
     """
     samples = RATE * 3600.0 * HOURS
-    size, compute = samples * (1 + 3 * 7) * 8 * 0.93, samples * seconds_per_sample
+    compute = samples * seconds_per_sample
     free = [(0.0, k) for k in range(n_workers)]
     issued = stored = end = busy = 0.0
     for _ in range(ARMS * DAYS):
@@ -196,12 +222,19 @@ def results(tasks: int, minutes: float) -> Iterator[tuple[str, dict[str, float]]
         slow = speed(folder, minutes, 100.0)
         yield "an hour at 100 Hz", slow
         yield "at 1 kHz", speed(folder, minutes / 5.0, 1000.0)
+        yield "memory, 100 Hz", memory(folder, minutes, 100.0)
+        yield "memory, 1 kHz", memory(folder, minutes, 1000.0)
         yield "one and two workers", workers(folder)
         yield "identify", identify(folder)
     yield "overhead of a process pool", overhead(tasks)
     yield "overhead of Dask", on_dask(tasks)
     for count in (1, 8, 64, 512, 4096):
-        yield "1000 arms, a year", simulated(1e-6 * slow["microseconds_per_sample"], count)
+        yield (
+            "1000 arms, a year",
+            simulated(
+                1e-6 * slow["microseconds_per_sample"], 6e7 / minutes * slow["log_mb"], count
+            ),
+        )
 
 
 if __name__ == "__main__":

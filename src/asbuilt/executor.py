@@ -6,12 +6,12 @@ import os
 import signal
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from typing import Any, Generic, Protocol, TypeVar
 
 from asbuilt.errors import MissingExtraError, UsageError
@@ -22,8 +22,11 @@ Result = TypeVar("Result")
 
 ORPHAN_CHECK = 0.5
 """Seconds between looks at the parent process."""
-PER_WORKER = 4
-"""Tasks that wait at each worker, so that none is idle while results are taken."""
+PER_WORKER = 3
+"""Submissions under way for each worker, so that none is idle while results are taken."""
+TOGETHER = 0.25
+"""Time [s] of tasks that are submitted together: a submission to a cluster takes milliseconds."""
+MOST_TOGETHER = 100
 ATTEMPTS = 2
 """Times that a task is run alone after its process died among others."""
 CONNECTING = 20.0
@@ -33,8 +36,10 @@ ONE_THREAD = {
     "MKL_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
     "POLARS_MAX_THREADS": "1",
+    "LOKY_MAX_MEMORY_LEAK_SIZE": "1e12",
 }
-"""Settings of a worker: the processes share the cores, threads would share them once more."""
+"""Settings of a worker: the processes share the cores, threads would share them once more. A worker
+that has grown by 300 MB is no leak, and is not replaced."""
 
 
 class Executor(Protocol):
@@ -74,91 +79,128 @@ class Workers:
     executor: Executor
     renew: Callable[[], Executor] | None = None
     dashboard: str | None = None
-    _suspects: deque[Any] = field(default_factory=deque, init=False, repr=False)
 
     def run(
         self, function: Callable[[Task], Result], tasks: Iterable[Task]
     ) -> Iterator[Outcome[Task, Result]]:
         """Yield the outcome of each task as it is done; few tasks are submitted ahead.
 
-        Where a process dies, all tasks under way are repeated one at a time, so that only the one
-        that kills its process fails.
+        Short tasks are submitted several at a time. Where a process dies, all tasks under way are
+        repeated one at a time, so that only the one that kills its process fails.
         """
-        waiting, running = iter(tasks), dict[Future[Result], Task]()
+        waiting, pace = iter(tasks), _Pace()
+        running: dict[Future[_Done], list[Task]] = {}
         while True:
-            for task in _first(waiting, self.count * PER_WORKER - len(running)):
-                self._start(function, task, running)
-            if not running and not self._suspects:
+            suspects: list[Task] = []
+            while len(running) < self.count * PER_WORKER and not suspects:
+                batch = list(islice(waiting, pace.batch))
+                if not batch:
+                    break
+                suspects += self._started(function, batch, running)
+            if not running and not suspects:
                 return
-            done = wait(running, return_when=FIRST_COMPLETED).done if running else ()
-            for future in done:
-                task = running.pop(future)
-                outcome = _outcome(task, future)
-                if outcome is None:
-                    self._suspects.append(task)
-                else:
-                    yield outcome
-            if self._suspects:
-                yield from self._retried(function, running)
+            for future in wait(running, return_when=FIRST_COMPLETED).done if running else ():
+                yield from self._outcomes(future, running.pop(future), pace, suspects)
+            if suspects:
+                for future in wait(running).done:
+                    yield from self._outcomes(future, running.pop(future), pace, suspects)
+                self._renew()
+                yield from (self._alone(function, task) for task in suspects)
 
-    def _start(
+    def _started(
         self,
         function: Callable[[Task], Result],
-        task: Task,
-        running: dict[Future[Result], Task],
-    ) -> None:
+        batch: list[Task],
+        running: dict[Future[_Done], list[Task]],
+    ) -> list[Task]:
+        """Submit tasks; return them if the executor is broken."""
         try:
-            running[self.executor.submit(function, task)] = task
+            running[self.executor.submit(_run_batch, function, batch)] = batch
         except BrokenExecutor:
-            self._suspects.append(task)
+            return batch
+        return []
 
-    def _retried(
-        self, function: Callable[[Task], Result], running: dict[Future[Result], Task]
+    def _outcomes(
+        self, future: Future[_Done], batch: list[Task], pace: _Pace, suspects: list[Task]
     ) -> Iterator[Outcome[Task, Result]]:
-        """Repeat the tasks that were under way when a process died, one at a time."""
-        for future in wait(running).done:
-            outcome = _outcome(running[future], future)
-            if outcome is None:
-                self._suspects.append(running[future])
+        """Yield the outcomes of tasks; those whose process died are added to `suspects`."""
+        try:
+            done = future.result()
+        except Exception as problem:
+            if len(batch) > 1 or isinstance(problem, BrokenExecutor | CancelledError):
+                suspects += batch
             else:
-                yield outcome
-        running.clear()
+                yield Outcome(batch[0], problem=_reason(problem))
+            return
+        pace.add(len(batch), done.seconds)
+        for task, result, why in zip(batch, done.results, done.problems, strict=True):
+            yield Outcome(task, result, why)
+
+    def _alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
+        """Return the outcome of a task that is the only one under way."""
+        for _ in range(ATTEMPTS):
+            try:
+                done = self.executor.submit(_run_batch, function, [task]).result()
+            except (BrokenExecutor, CancelledError):
+                self._renew()
+            except Exception as problem:
+                return Outcome(task, problem=_reason(problem))
+            else:
+                return Outcome(task, done.results[0], done.problems[0])
+        return Outcome(
+            task, problem=f"its worker was killed {ATTEMPTS} times, such as for want of memory"
+        )
+
+    def _renew(self) -> None:
         if self.renew is not None:
             self.executor = self.renew()
-        while self._suspects:
-            task, outcome = self._suspects.popleft(), None
-            for _ in range(ATTEMPTS):
-                future = self.executor.submit(function, task)
-                outcome = _outcome(task, future)
-                if outcome is not None:
-                    break
-                if self.renew is not None:
-                    self.executor = self.renew()
-            yield outcome or Outcome(
-                task,
-                problem=f"its worker was killed {ATTEMPTS} times, such as for want of memory",
-            )
 
 
-def _first(tasks: Iterator[Task], count: int) -> Iterator[Task]:
-    """Yield at most `count` tasks, each when it is asked for."""
-    for _ in range(count):
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """Hold results, or why there are none, of tasks that took `seconds` together."""
+
+    results: list[Any]
+    problems: list[str | None]
+    seconds: float
+
+
+@dataclass(slots=True)
+class _Pace:
+    """Choose how many tasks are submitted together."""
+
+    tasks: int = 0
+    seconds: float = 0.0
+
+    @property
+    def batch(self) -> int:
+        """Number of tasks that take about `TOGETHER` seconds."""
+        if not self.tasks:
+            return 1
+        return max(1, min(MOST_TOGETHER, int(TOGETHER * self.tasks / max(self.seconds, 1e-9))))
+
+    def add(self, tasks: int, seconds: float) -> None:
+        """Count tasks and the time they took."""
+        self.tasks += tasks
+        self.seconds += seconds
+
+
+def _run_batch(function: Callable[[Any], Any], tasks: list[Any]) -> _Done:
+    began, done = time.monotonic(), _Done([], [], 0.0)
+    for task in tasks:
         try:
-            yield next(tasks)
-        except StopIteration:
-            return
+            result, problem = function(task), None
+        except Exception as error:
+            result, problem = None, _reason(error)
+        done.results.append(result)
+        done.problems.append(problem)
+    return _Done(done.results, done.problems, time.monotonic() - began)
 
 
-def _outcome(task: Task, future: Future[Result]) -> Outcome[Task, Result] | None:
-    """Return the outcome of a task that ends, None if its process died."""
-    try:
-        return Outcome(task, future.result())
-    except (BrokenExecutor, CancelledError):
-        return None
-    except Exception as problem:
-        if type(problem).__name__ == "KilledWorker":
-            return Outcome(task, problem="its worker was killed again and again")
-        return Outcome(task, problem=f"{type(problem).__name__}: {problem}")
+def _reason(problem: BaseException) -> str:
+    if type(problem).__name__ == "KilledWorker":
+        return "its worker was killed again and again"
+    return f"{type(problem).__name__}: {problem}"
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import typer
 
 import asbuilt
 from asbuilt.cli.app import app
-from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS
+from asbuilt.cli.commands import EVERY_COMMAND, GROUPS, SUBCOMMANDS
 from command_line import call
 
 WIDTH = 80

@@ -94,3 +94,25 @@ def session(leader: int) -> list[int]:
         if int(fields[3]) == leader and fields[0] != "Z":
             found.append(int(folder.name))
     return found
+
+
+@LINUX
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.2, 0.3, 0.6])
+def test_interrupt_while_modules_are_imported(delay: float) -> None:
+    code = (
+        "import sys; from asbuilt.cli import run; sys.argv = ['asbuilt', 'base', 'ur10e'];"
+        "print('ready', flush=True); run()"
+    )
+    command = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert command.stdout is not None
+    assert command.stdout.readline() == b"ready\n"
+    time.sleep(delay)
+    command.send_signal(signal.SIGINT)
+    said = command.communicate()[1]
+    assert b"Traceback" not in said, said
+    assert b"KeyboardInterrupt" not in said, said

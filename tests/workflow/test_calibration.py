@@ -12,6 +12,7 @@ import pytest
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.long_recordings import RecordingStream
@@ -104,3 +105,39 @@ def test_channels_are_those_of_samples_prepared_by_one_chain(bare: Recording) ->
     assert found.value("Fvm2") == pytest.approx(0.5, abs=0.05)
     with pytest.raises(UsageError, match="both channels"):
         identify_channels(ARM, [sensor, sensor], motor)
+
+
+def test_channels_whose_rows_repeat_at_different_instants_run_together() -> None:
+    model = load_robot("ur10e")
+    trajectory = random_fourier(model, 3, duration=20.0).sample(200.0)
+    rng = np.random.default_rng(3)
+    base = inverse_dynamics(model, trajectory.q, trajectory.qd, trajectory.qdd)
+    held = {
+        "q": trajectory.q.copy(),
+        "a": base + rng.normal(size=base.shape),
+        "b": 1.1 * base + 0.3,
+    }
+    for name in ("a", "b"):
+        rows = np.flatnonzero(rng.random(len(base)) < 0.3)
+        for row in rows[rows > 0]:
+            held[name][row] = held[name][row - 1]
+            held["q"][row] = held["q"][row - 1]
+    sensor, motor = (
+        Recording(
+            t=trajectory.t,
+            q=held["q"],
+            tau=held[name],
+            joint_names=model.joint_names,
+            torque_source=source,
+            source=f"{name}.csv",
+        )
+        for name, source in (("a", "sensor"), ("b", "motor"))
+    )
+    found = identify_channels(model, sensor, motor)
+    loaded = found.scale_errors < 0.02
+    assert np.any(loaded)
+    np.testing.assert_allclose(found.scales[loaded], 1.1, atol=0.06)
+    with pytest.raises(UsageError, match="not of the same motion"):
+        identify_channels(model, sensor, replace(motor, q=motor.q[::-1]))
+    with pytest.raises(UsageError, match="not of the same instants"):
+        identify_channels(model, sensor, replace(motor, t=motor.t + 0.0021))

@@ -193,7 +193,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
         "demo": Entry(
             "demos.story",
             "Design, record, identify, validate and export on a bundled robot.",
-            ("", "-o demo"),
+            ("", "fleet -o demo"),
             "run_demo",
         ),
         "reproduce": Entry(
@@ -214,7 +214,7 @@ SUBCOMMANDS: dict[str, dict[str, Entry]] = {
             "Reduce logs to their information and append it to a ledger.",
             (
                 "ledger ur10e logs/arm-7/*.parquet --id arm-7",
-                "s3://lab/ledger ur10e logs/*/*.csv --id-from {id}/*.csv --workers 8",
+                "s3://lab/fleet ur10e logs/*/*.csv --id-from {id}/*.csv",
             ),
             "add_logs",
         ),

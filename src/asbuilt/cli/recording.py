@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
     Carrier,
@@ -183,6 +183,7 @@ def channels(
 ) -> None:
     """Identify links, link-side friction and motor side from torques on both sides of the gears."""
     from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.tables import wrapped
     from asbuilt.workflow.calibration import identify_channels
     from asbuilt.workflow.options import ChannelOptions
     from asbuilt.writers.tables.drive_tables import channels_document, channels_text
@@ -205,7 +206,8 @@ def channels(
     )
     with progress_bar() as report:
         found = identify_channels(model, sensors, motors, options=options, progress=report)
-    answer(as_json, lambda: channels_document(found), lambda: channels_text(found, full))
+    said = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
+    answer(as_json, lambda: channels_document(found), lambda: channels_text(found, full) + said)
 
 
 def simulate(

@@ -9,6 +9,7 @@ from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
 from asbuilt.description.formats.registry import FORMATS, format_of, known_suffixes
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, outermost_tag
 from asbuilt.description.model import RobotModel
+from asbuilt.description.robots.published import published_description
 from asbuilt.errors import DescriptionError
 from asbuilt.untrusted import read_bytes, reason
 
@@ -19,8 +20,9 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
     Parameters
     ----------
     name_or_path
-        Name of a bundled robot, or a file: TOML, URDF, MJCF, a DH and mass table (CSV), or a format
-        that another distribution registers. XML is recognised by content.
+        Name of a bundled robot, or of one of the package `robot_descriptions` such as
+        `panda_description`, or a file: TOML, URDF, MJCF, SDF, xacro, a DH and mass table (CSV), or
+        a format that another distribution registers. XML is recognised by content.
 
     Returns
     -------
@@ -55,7 +57,9 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
             f"{text} is a folder; give a description file ({suffixes}) or a bundled robot"
             f" ({bundled})"
         )
-    if path.suffix.lower() in (*known_suffixes(), ".xacro"):
+    if text.isidentifier() and text.endswith("_description"):
+        return _read(published_description(text))
+    if path.suffix.lower() in known_suffixes():
         raise DescriptionError(
             f"there is no file {text}; give the path of a description ({suffixes})", file=text
         )

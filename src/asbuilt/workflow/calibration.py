@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.long_recordings import head_of
-from asbuilt.experiment.logs.recordings import RecordingLike, fitted_recordings
+from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure
 from asbuilt.identification.calibration.torque_gains import (
     TorqueGains,
     gains_in_use,
@@ -23,6 +28,11 @@ from asbuilt.identification.calibration.two_channels import (
 )
 from asbuilt.workflow.options import ChannelOptions, GainOptions
 from asbuilt.workflow.prepare import Progress, prepare
+
+COMMON = 0.9
+"""Least share of the samples of two channels that has equal time stamps."""
+SAME_MOTION = 0.02
+"""Largest difference of positions of two channels, as a share of the motion."""
 
 
 def find_gains(
@@ -127,10 +137,11 @@ def identify_channels(
             f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"
             " of motors"
         )
+    pairs = [_same_instants(*pair) for pair in zip(sensors, motors, strict=True)]
     prepared = prepare(
         model,
-        sensors,
-        others=(motors,),
+        [sensor for sensor, _ in pairs],
+        others=([motor for _, motor in pairs],),
         chain=options.chain,
         checked=options.checked,
         progress=progress,
@@ -141,4 +152,41 @@ def identify_channels(
         prepared.others[0],
         link_side=options.link_side or LINK_SIDE,
         motor_side=options.motor_side,
+    )
+
+
+def _same_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Recorded]:
+    """Return what two channels logged at the same instants, each with the torque of the other.
+
+    The signal chain drops rows that repeat the row before. Both torques decide about that, so that
+    it drops the same rows of both channels.
+    """
+    if not (isinstance(sensor, Recording) and isinstance(motor, Recording)):
+        return sensor, motor
+    common = np.intersect1d(sensor.t, motor.t)
+    if common.size < COMMON * min(sensor.n_samples, motor.n_samples):
+        raise UsageError(
+            f"{sensor.source} and {motor.source} are not of the same instants: {common.size} of"
+            f" {sensor.n_samples} and {motor.n_samples} time stamps are equal",
+            cure=Cure("log sensors and motors together, with the same time stamps"),
+            value=common.size,
+            lower=COMMON * min(sensor.n_samples, motor.n_samples),
+        )
+    if common.size < max(sensor.n_samples, motor.n_samples):
+        shared = (np.isin(sensor.t, motor.t), np.isin(motor.t, sensor.t))
+        sensor, motor = sensor.taken(shared[0]), motor.taken(shared[1])
+    apart = np.nanmax(np.abs(sensor.q - motor.q), axis=0)
+    moved = np.maximum(np.ptp(sensor.q, axis=0), np.ptp(motor.q, axis=0))
+    worst = int(np.argmax(apart - SAME_MOTION * moved))
+    if apart[worst] > SAME_MOTION * moved[worst]:
+        raise UsageError(
+            f"{sensor.source} and {motor.source} are not of the same motion: the positions of"
+            f" {sensor.joint_names[worst]} differ by up to {apart[worst]:.3g}",
+            cure=Cure("give the two channels of one recording"),
+            joint=sensor.joint_names[worst],
+            value=float(apart[worst]),
+        )
+    return (
+        replace(sensor, extra={**sensor.extra, "tau_motor": motor.tau}),
+        replace(motor, extra={**motor.extra, "tau_sensor": sensor.tau}, q=sensor.q, qd=sensor.qd),
     )

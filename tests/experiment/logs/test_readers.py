@@ -323,7 +323,7 @@ BAD = {
     "wide.csv": ("\ufefft\0,\0", "it holds binary data"),
     "log.csv.gz": ("nonsense", "unpack it first"),
     "log.xlsx": ("nonsense", "export the sheet as CSV"),
-    "notes.docx": ("nonsense", "known are .csv, .dat, .db3, .h5"),
+    "notes.docx": ("nonsense", "known are .bag, .csv, .dat, .db3, .h5"),
 }
 
 
@@ -363,7 +363,7 @@ def test_binary_pickles_and_missing_files_are_refused(tmp_path: Path) -> None:
         ("wide.csv", "UTF-16 text; save it as UTF-8"),
         ("packed.csv", "a gzip archive; unpack it"),
         ("book.csv", "a ZIP archive or a spreadsheet"),
-        ("folder", "is no ROS 2 bag.*give the file of a recording"),
+        ("folder", "is no ROS bag.*give the file of a recording"),
         ("pipe.csv", "not a regular file"),
     ):
         with pytest.raises(RecordingError, match=message):

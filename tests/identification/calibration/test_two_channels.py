@@ -131,3 +131,22 @@ def test_channels_of_different_instants_are_refused(channels):
         identify_two_channels(ROBOT, sensor, motor, link_side=DriveSet.parse("stribeck"))
     with pytest.raises(UsageError, match="load"):
         identify_two_channels(ROBOT, sensor, motor, motor_side=DriveSet.parse("load_friction"))
+
+
+def test_wrong_motor_gain_is_found_and_does_not_bend_the_motor_side(channels):
+    sensor, motor, _, truth = channels
+    wrong = np.ones(7)
+    wrong[[1, 3]] = 0.87, 1.1
+    found = identify_two_channels(ROBOT, sensor, replace(motor, tau=motor.tau * wrong))
+    (finding,) = found.findings
+    assert [name in finding.message for name in ROBOT.joint_names] == list(wrong != 1.0)
+    errors = (found.scales - wrong) / found.scale_errors
+    assert np.all(np.abs(errors) < 4.0)
+    for k in (1, 3):
+        armature = found.names.index(f"Iam{k + 1}")
+        assert abs(found.values[armature] - truth[4 * k]) < 4.0 * found.std_errors[armature]
+
+
+def test_right_motor_gains_are_left_alone(channels):
+    sensor, motor, *_ = channels
+    assert identify_two_channels(ROBOT, sensor, motor).findings == ()

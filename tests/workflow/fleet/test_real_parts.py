@@ -31,7 +31,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture(scope="module")
 def filled(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     ledger = tmp_path_factory.mktemp("fleet") / "ledger"
-    add_logs(ledger, MODEL, logs, robot_id="R1", fleet=HERE)
+    assert not add_logs(ledger, MODEL, logs, robot_id="R1", fleet=HERE).failed
     return ledger
 
 

@@ -175,7 +175,7 @@ def test_without_viser_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPa
     with pytest.raises(
         MissingExtraError,
         match=(
-            r"the 3-D view needs the package viser, which is not installed; run pip install \w+,"
+            r"the 3-D view needs the package viser, which is not installed; run pip install [\w ]+,"
             r" or pip install 'asbuilt\[view\]'"
         ),
     ):

@@ -95,6 +95,7 @@ def find_layout(
             ),
             file=source,
             available=list(names),
+            absent=absent,
         )
     chosen = _chosen(groups, position, torque)
     labels = _sorted_labels(source, "position", position, sheet)

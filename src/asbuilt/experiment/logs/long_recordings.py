@@ -142,9 +142,9 @@ def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -
     return prepare_samples(recording, chain)
 
 
-def is_long(path: Path) -> bool:
-    """Return whether a file should be read in chunks, by its size."""
+def is_long(path: Path, size: float = LONG) -> bool:
+    """Return whether a file has more bytes than `size` and can be read in chunks."""
     if not path.is_file() or path.suffix == ".toml":
         return False
     stream = log_format(path).stream
-    return stream is not None and stream.n_bytes(path) > LONG
+    return stream is not None and stream.n_bytes(path) > size

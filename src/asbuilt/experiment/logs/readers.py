@@ -17,7 +17,7 @@ from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_op
 from asbuilt.experiment.logs.role_files import merge_role_files, role_groups
 from asbuilt.experiment.logs.roles import quantity_of_file, recognise
 from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
-from asbuilt.experiment.logs.unnamed_columns import suggest_sheet
+from asbuilt.experiment.logs.unnamed_columns import DRAFT, suggest_sheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
@@ -139,7 +139,7 @@ def _recording(
     path: Path | None,
 ) -> Recording:
     if not table.named and sheet.columns.position is None:
-        raise _unnamed_columns(table, path, model)
+        raise _unnamed_columns(table, path, model, options.rate)
     try:
         layout = find_layout(
             table.source, tuple(table.columns), model=model, sheet=sheet, known=table.known
@@ -148,6 +148,8 @@ def _recording(
         text = ", ".join(table.text_columns)
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
+        if "absent" in problem.fields and table.columns:
+            problem.cure = Cure(f"{problem.cure}{_draft(table, model, options.rate)}")
         raise
     rate = options.rate if options.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)
@@ -221,10 +223,18 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
     )
 
 
+def _draft(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
+    """Return the draft of a sheet for columns whose names are of no use, empty if none fits."""
+    sheet = suggest_sheet(table.columns, model, named=table.named, rate=rate)
+    if DRAFT in sheet:
+        return ""
+    return f". From the values it may read (check it):\n\n{sheet}\n"
+
+
 def _unnamed_columns(
-    table: LogTable, path: Path | None, model: RobotModel | None
+    table: LogTable, path: Path | None, model: RobotModel | None, rate: float | None
 ) -> RecordingError:
-    sheet = suggest_sheet(table.columns, None if model is None else model.n_joints)
+    sheet = suggest_sheet(table.columns, model, rate=rate)
     stem = "recording" if path is None else path.stem
     return RecordingError(
         f"{table.source} has {len(table.columns)} columns without a header row",

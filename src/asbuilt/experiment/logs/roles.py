@@ -11,7 +11,18 @@ Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "cu
 
 _WORDS: dict[str, Quantity] = {
     **dict.fromkeys(
-        ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "clock"), "time"
+        (
+            "time",
+            "times",
+            "timestamp",
+            "timestamps",
+            "stamp",
+            "stamps",
+            "clock",
+            "duration",
+            "elapsed",
+        ),
+        "time",
     ),
     **dict.fromkeys(
         ("position", "positions", "pos", "angle", "angles", "theta", "qpos"), "position"
@@ -40,7 +51,7 @@ _WORDS: dict[str, Quantity] = {
         ("torque", "torques", "effort", "efforts", "tau", "taus", "moment", "moments", "trq"),
         "torque",
     ),
-    **dict.fromkeys(("current", "currents", "amps", "ampere", "amperes"), "current"),
+    **dict.fromkeys(("current", "currents", "curr", "amps", "ampere", "amperes"), "current"),
 }
 _SYMBOLS: dict[str, Quantity] = {
     "t": "time",
@@ -61,6 +72,8 @@ _PAIRS: dict[tuple[str, ...], Quantity] = {
     ("d", "q"): "velocity",
     ("dd", "q"): "acceleration",
 }
+_KUKA_POSITION = ("axis", "act")
+"""Words of the positions in traces of KUKA controllers, such as `$AXIS_ACT` and `AxisAct.A1`."""
 _DESIRED = {
     "target",
     "targets",
@@ -96,6 +109,7 @@ _OTHER = {
 }
 _EXTERNAL = {"ext", "external", "extern"}
 _MEASURED = {
+    "act",
     "actual",
     "measured",
     "meas",
@@ -114,7 +128,7 @@ _MEASURED = {
     "log",
     "data",
 }
-_PREFIXES = _MEASURED - {"hat", "joint", "joints", "axis", "j"}
+_PREFIXES = _MEASURED - {"hat", "joint", "joints", "j"}
 """Words before a joint's name that do not belong to it."""
 _MOTOR = {"motor", "motors"}
 _SENSOR = {"sensor", "sensors"}
@@ -210,6 +224,8 @@ def recognise(name: str) -> Role | None:
     if index is None and numbers:
         index = int(words[numbers[-1]])
     named = [k for k in rest if words[k] not in _MEASURED and not words[k].isdigit()]
+    if quantity == "time":
+        named, numbers = [], []
     joint = ""
     if named or len(numbers) > 1:
         first, last = rest[0], rest[-1]
@@ -280,6 +296,9 @@ def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
             and not _follows_number(words, i)
         ]
         return _WORDS[words[k]], sorted([k, *symbols])
+    for k in range(len(words) - 1):
+        if tuple(words[k : k + 2]) == _KUKA_POSITION:
+            return "position", [k, k + 1]
     if "sec" in words and "stamp" in words:
         return "time", [words.index("stamp")]
     for k, word in enumerate(words):

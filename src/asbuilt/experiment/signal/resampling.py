@@ -142,13 +142,15 @@ def uniform_segments(
 
 
 def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Drop exact repeats; those several times longer than usual are a robot at rest and stay."""
+    """Drop exact repeats; those several times longer than usual are a robot at rest and stay.
+
+    A second torque channel that changes makes a sample new.
+    """
     rows = [recording.q[index], recording.tau[index]] + (
         [recording.qd[index]] if recording.qd is not None else []
     )
-    changed = np.concatenate(
-        [[True], np.any([np.any(np.diff(row, axis=0) != 0.0, axis=1) for row in rows], axis=0)]
-    )
+    rows += [each[index] for key, each in recording.extra.items() if key.startswith("tau")]
+    changed = np.concatenate([[True], np.any([_changes(row) for row in rows], axis=0)])
     if changed.all():
         return index
     starts = np.flatnonzero(changed)
@@ -156,6 +158,13 @@ def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.i
     rest = np.repeat(lengths > GAP * np.median(lengths), lengths)
     kept_rows: NDArray[np.intp] = index[changed | rest]
     return kept_rows
+
+
+def _changes(values: Array) -> NDArray[np.bool_]:
+    """Return which rows of (N,) or (N, m) differ from the row before, (N - 1,)."""
+    steps = np.diff(values, axis=0) != 0.0
+    changed: NDArray[np.bool_] = steps if steps.ndim == 1 else np.any(steps, axis=1)
+    return changed
 
 
 def _logged_rate(t: Array, period: float) -> float:

@@ -17,6 +17,7 @@ from asbuilt.dynamics.drives.defaults import coupled_motor_terms
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
+from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.estimate import Estimate
@@ -30,6 +31,28 @@ if TYPE_CHECKING:
 
 LINK_SIDE = DriveSet.parse("viscous,coulomb,offset")
 MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleRule:
+    """When the scale of a motor's torque is fitted.
+
+    Parameters
+    ----------
+    sigmas
+        Standard errors by which it must differ from 1; one joint in 400 does by chance.
+    smallest
+        Difference from 1 below which it does not matter: torque constants are known to 1 % at best.
+    rounds
+        Fits of the scales, each linear about the one before; errors square from round to round.
+    """
+
+    sigmas: float = 3.0
+    smallest: float = 0.01
+    rounds: int = 3
+
+
+SCALE = ScaleRule()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +69,9 @@ class TwoChannelEstimate:
         Which parameters are of the motor side.
     rms_sensor, rms_motor
         Torque errors of the two channels (n,).
+    scales, scale_errors
+        Torque of each motor channel relative to its sensor (n,), with standard errors; where it
+        differs from 1, motors were divided by it, and all errors count that it was fitted.
     estimate, uncertainty, information
         The fit behind.
     """
@@ -59,9 +85,30 @@ class TwoChannelEstimate:
     std_errors: Array
     rms_sensor: Array
     rms_motor: Array
+    scales: Array
+    scale_errors: Array
     estimate: Estimate
     uncertainty: Uncertainty
     information: SquareRootInformation
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Motors whose torque has another scale than the sensors', as one finding."""
+        listed = [
+            f"{name} {scale:.3f} +/- {error:.3f}"
+            for name, scale, error in zip(
+                self.joint_names, self.scales.tolist(), self.scale_errors.tolist(), strict=True
+            )
+            if _differs(scale, error)
+        ]
+        if not listed:
+            return ()
+        message = (
+            "motor torques have another scale than the sensors', friction and armature of the"
+            f" motors apart: {joined(listed)} times"
+        )
+        cure = Cure("divide the motor gains by this, or look for friction that grows with load")
+        return (Finding("motor_scale", "warning", message, cure=cure),)
 
     def value(self, name: str) -> float:
         """Return the value of one parameter; raises `ResultError` for an unknown name."""
@@ -137,26 +184,133 @@ def identify_two_channels(
     if link_side.needs_load or ahead.needs_load:
         raise UsageError("two channels need drive terms that do not depend on load")
     acting = _acting(model, ahead)
-    both = _both_sides(model, find_base_parameters(model, link_side), ahead, acting)
-    information = _joined(model, both, link_side, ahead, acting, sensors, motors)
-    estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
-    uncertainty = block_uncertainty(information, estimate)
+    base = find_base_parameters(model, link_side)
+    joint_fit = _JointFit(model, base, link_side, ahead, acting, tuple(sensors), tuple(motors))
+    scales, errors, (both, information, estimate, uncertainty) = _scaled_fit(joint_fit)
     rms = np.sqrt(information.residual_energy(estimate.beta) / information.n_samples)
-    n = model.n_joints
+    n, kept = model.n_joints, base.n_base + len(acting)
     return TwoChannelEstimate(
         robot=model.name,
         joint_names=model.joint_names,
-        names=both.names,
-        units=both.units,
-        of_motor_side=np.arange(both.n_base) >= both.n_base - len(acting),
-        values=estimate.beta,
-        std_errors=uncertainty.std_errors,
+        names=both.names[:kept],
+        units=both.units[:kept],
+        of_motor_side=np.arange(kept) >= base.n_base,
+        values=estimate.beta[:kept],
+        std_errors=uncertainty.std_errors[:kept],
         rms_sensor=rms[:n],
         rms_motor=rms[n:],
+        scales=scales,
+        scale_errors=errors,
         estimate=estimate,
         uncertainty=uncertainty,
         information=information,
     )
+
+
+_Fitted = tuple[BaseParameters, SquareRootInformation, Estimate, Uncertainty]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _JointFit:
+    """Fit both channels, given scales of the motors and the joints whose scale is a parameter."""
+
+    model: RobotModel
+    base: BaseParameters
+    link_side: DriveSet
+    motor_side: DriveSet
+    acting: Indices
+    sensors: tuple[Samples, ...]
+    motors: tuple[Samples, ...]
+
+    def solved(self, scales: Array, scaled: Sequence[int], links: Array | None) -> _Fitted:
+        both = _both_sides(self.model, self.base, self.motor_side, self.acting, scaled)
+        divided = [replace(each, tau=each.tau / scales) for each in self.motors]
+        information = self._joined(both, divided, scaled, links)
+        estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
+        return both, information, estimate, block_uncertainty(information, estimate)
+
+    def _joined(
+        self,
+        both: BaseParameters,
+        motors: Sequence[Samples],
+        scaled: Sequence[int],
+        beta: Array | None,
+    ) -> SquareRootInformation:
+        """Return the information of both channels; scales multiply the torque of links `beta`."""
+        model, sensors, n, p = self.model, self.sensors, self.model.n_joints, self.base.n_base
+        links = RegressorPlan.of(model, self.link_side, both.columns[:p], spare_rows=1)
+        drives = RegressorPlan.of(model, self.motor_side, 10 * n + self.acting, spare_rows=1)
+        first = p + len(self.acting)
+        own_scale = [[first + scaled.index(k)] if k in scaled else [] for k in range(n)]
+        support = (
+            *links.support,
+            *(
+                np.concatenate([own, p + extra, np.array(scale, dtype=np.intp)])
+                for own, extra, scale in zip(links.support, drives.support, own_scale, strict=True)
+            ),
+        )
+        factors: list[list[Array]] = [[] for _ in support]
+        sums, times = [], []
+        for seen, driven in zip(
+            sample_blocks(model, sensors), sample_blocks(model, motors), strict=True
+        ):
+            growing = [GrowingFactor(len(columns) + 1) for columns in support]
+            total = np.zeros(2 * n)
+            for behind, links_again, ahead in zip(
+                seen.chunks(links), driven.chunks(links), driven.chunks(drives), strict=True
+            ):
+                for k in range(n):
+                    growing[k].append(behind[k])
+                    again = links_again[k][:-1]
+                    moved = (
+                        [] if beta is None or k not in scaled else [beta[links.support[k]] @ again]
+                    )
+                    growing[n + k].append(np.vstack([again, ahead[k][:-1], *moved, ahead[k][-1:]]))
+                    total[k] += behind[k][-1].sum()
+                    total[n + k] += ahead[k][-1].sum()
+            for kept, grown in zip(factors, growing, strict=True):
+                kept.append(grown.factor())
+            sums.append(total)
+            times.append(seen.time)
+        names = (
+            *(f"{name} sensor" for name in model.joint_names),
+            *(f"{name} motor" for name in model.joint_names),
+        )
+        return SquareRootInformation(
+            both,
+            names,
+            support,
+            tuple(np.array(each) for each in factors),
+            np.array(sums),
+            tuple(times),
+        )
+
+
+def _scaled_fit(fit: _JointFit) -> tuple[Array, Array, _Fitted]:
+    """Return scales of the motors, their errors, and the fit in which those that differ are free.
+
+    The scale of a motor multiplies the torque behind it, which is linearised about the links of
+    the fit before.
+    """
+    n, first = fit.model.n_joints, fit.base.n_base
+    found = fit.solved(np.ones(n), (), None)
+    scales, errors = np.ones(n), np.full(n, np.nan)
+    scaled: tuple[int, ...] = tuple(range(n))
+    for _ in range(SCALE.rounds):
+        divisors = np.where(np.isin(np.arange(n), scaled), scales, 1.0)
+        found = fit.solved(divisors, scaled, found[2].beta[:first])
+        change, error = found[2].beta[-len(scaled) :], found[3].std_errors[-len(scaled) :]
+        chosen = list(scaled)
+        errors[chosen] = divisors[chosen] * error
+        scales[chosen] = divisors[chosen] * (1.0 + change)
+        scaled = tuple(k for k in scaled if _differs(scales[k], errors[k]))
+        if not scaled:
+            return scales, errors, fit.solved(np.ones(n), (), None)
+    return scales, errors, found
+
+
+def _differs(scale: float, error: float) -> bool:
+    return abs(scale - 1.0) > max(SCALE.sigmas * error, SCALE.smallest)
 
 
 def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
@@ -172,16 +326,21 @@ def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
 
 
 def _both_sides(
-    model: RobotModel, base: BaseParameters, motor_side: DriveSet, acting: Indices
+    model: RobotModel,
+    base: BaseParameters,
+    motor_side: DriveSet,
+    acting: Indices,
+    scaled: Sequence[int],
 ) -> BaseParameters:
-    """Return the base parameters followed by the independent ones of the motor side."""
+    """Return the base parameters, the independent ones of the motor side, and scales of motors."""
     every = [
         f"{symbol}m{number}"
         for number in range(1, model.n_joints + 1)
         for symbol in motor_side.symbols
     ]
     every_unit = [unit for joint in model.joints for unit in motor_side.units(joint.kind)]
-    names, units = tuple(every[j] for j in acting), tuple(every_unit[j] for j in acting)
+    names = (*(every[j] for j in acting), *(f"scalem{k + 1}" for k in scaled))
+    units = (*(every_unit[j] for j in acting), *("1" for _ in scaled))
     first, p, m = base.n_standard, base.n_base, len(names)
     regrouping = np.zeros((p + m, first + m))
     regrouping[:p, :first], regrouping[p:, first:] = base.regrouping, np.eye(m)
@@ -201,57 +360,4 @@ def _both_sides(
             )
             for j, name in enumerate(names)
         ),
-    )
-
-
-def _joined(
-    model: RobotModel,
-    both: BaseParameters,
-    link_side: DriveSet,
-    motor_side: DriveSet,
-    acting: Indices,
-    sensors: Sequence[Samples],
-    motors: Sequence[Samples],
-) -> SquareRootInformation:
-    n = model.n_joints
-    p = both.n_base - len(acting)
-    links = RegressorPlan.of(model, link_side, both.columns[:p], spare_rows=1)
-    drives = RegressorPlan.of(model, motor_side, 10 * n + acting, spare_rows=1)
-    support = (
-        *links.support,
-        *(
-            np.concatenate([own, p + extra])
-            for own, extra in zip(links.support, drives.support, strict=True)
-        ),
-    )
-    factors: list[list[Array]] = [[] for _ in support]
-    sums, times = [], []
-    for seen, driven in zip(
-        sample_blocks(model, sensors), sample_blocks(model, motors), strict=True
-    ):
-        growing = [GrowingFactor(len(columns) + 1) for columns in support]
-        total = np.zeros(2 * n)
-        for behind, links_again, ahead in zip(
-            seen.chunks(links), driven.chunks(links), driven.chunks(drives), strict=True
-        ):
-            for k in range(n):
-                growing[k].append(behind[k])
-                growing[n + k].append(np.vstack([links_again[k][:-1], ahead[k]]))
-                total[k] += behind[k][-1].sum()
-                total[n + k] += ahead[k][-1].sum()
-        for kept, grown in zip(factors, growing, strict=True):
-            kept.append(grown.factor())
-        sums.append(total)
-        times.append(seen.time)
-    names = (
-        *(f"{name} sensor" for name in model.joint_names),
-        *(f"{name} motor" for name in model.joint_names),
-    )
-    return SquareRootInformation(
-        both,
-        names,
-        support,
-        tuple(np.array(each) for each in factors),
-        np.array(sums),
-        tuple(times),
     )

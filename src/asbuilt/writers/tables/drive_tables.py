@@ -194,6 +194,13 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
         ],
         "rms_sensor": found.rms_sensor.tolist(),
         "rms_motor": found.rms_motor.tolist(),
+        "motor_scale": [
+            {"joint": name, "estimate": _number(scale), "std_error": _number(error)}
+            for name, scale, error in zip(
+                found.joint_names, found.scales.tolist(), found.scale_errors.tolist(), strict=True
+            )
+        ],
+        "warnings": [{"code": each.code, "message": each.text} for each in found.findings],
         "undetermined": list(found.estimate.undetermined),
     }
 
@@ -213,7 +220,15 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
     ]
     values = list(zip(found.values.tolist(), found.std_errors.tolist(), strict=True))
     errors = tuple(
-        zip(found.joint_names, found.rms_sensor.tolist(), found.rms_motor.tolist(), strict=True)
+        (name, sensor, motor, plus_minus(scale, error))
+        for name, sensor, motor, scale, error in zip(
+            found.joint_names,
+            found.rms_sensor.tolist(),
+            found.rms_motor.tolist(),
+            found.scales.tolist(),
+            found.scale_errors.tolist(),
+            strict=True,
+        )
     )
     notes = [
         f"UNDETERMINED by this motion: {text}."
@@ -245,6 +260,7 @@ def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
         Column("joint"),
         Column("RMS sensor", "N m", "decimal", ".3g"),
         Column("RMS motor", "N m", "decimal", ".3g"),
+        Column("motor / sensor"),
     )
     return stacked((Table(heads, errors), parameters), full)
 

@@ -82,7 +82,7 @@ def overview_text(
     heads = [Column("robot"), Column("type"), Column("logs"), Column("first"), Column("last")]
     heads += [Column("recorded", "h", "decimal")] if thorough else []
     names = {each.robot_type: each.model.name for each in seen.types}
-    rows = tuple(
+    rows: tuple[tuple[str | float, ...], ...] = tuple(
         (
             each.id,
             names[each.robot_type],

@@ -21,6 +21,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogStream,
     LogTable,
 )
+from asbuilt.experiment.logs.formats.topic_echo import is_topic_echo, read_topic_echo
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 
@@ -336,7 +337,7 @@ def _is_number(text: str, decimal_comma: bool) -> bool:
 
 def _columns(path: Path, sheet: RecordingSheet) -> tuple[str, ...] | None:
     """Return the numeric columns of a file that can be read lazily."""
-    if sheet.separator == " " or find_dialect(path).separator == "":
+    if _is_echo(path, sheet) or sheet.separator == " " or find_dialect(path).separator == "":
         return None
     dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
     if not dialect.named and sheet.columns.position is None:
@@ -362,7 +363,15 @@ def _frames(
         raise bad_cell(path, dialect, error) from error
 
 
+def _is_echo(path: Path, sheet: RecordingSheet) -> bool:
+    if sheet.header is not None or sheet.separator is not None:
+        return False
+    return is_topic_echo(next((line for line in _first_lines(path) if line.strip()), ""))
+
+
 def _read(path: Path, sheet: RecordingSheet) -> LogTable:
+    if _is_echo(path, sheet):
+        return read_topic_echo(path)
     separator = "" if sheet.separator == " " else sheet.separator
     return read_delimited(path, header=sheet.header, separator=separator)
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 REPACKED: Mapping[str, str] = {
     **dict.fromkeys((".gz", ".zip", ".bz2", ".xz", ".zst", ".7z"), "unpack it first"),
     **dict.fromkeys((".xlsx", ".xls", ".ods"), "export the sheet as CSV"),
-    ".bag": "convert the ROS 1 bag with rosbags-convert",
 }
 """What to do first with files of other formats."""
 

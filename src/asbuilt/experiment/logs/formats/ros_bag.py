@@ -1,7 +1,12 @@
-"""Recordings in ROS 2 bags of sensor_msgs/JointState messages."""
+"""Recordings in ROS 1 and ROS 2 bags of sensor_msgs/JointState messages."""
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +19,14 @@ from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTa
 from asbuilt.findings import Cure
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
+_UNPACKED = 4_000_000_000
+"""Bytes that a compressed bag may unpack to."""
 
 
 def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
-    """Read joint states from the folder of a bag, or from a bare `.db3` or `.mcap` file.
+    """Read joint states from the folder of a ROS 2 bag, a bare file of one, or a ROS 1 `.bag`.
+
+    A bare file is a `.db3`, also compressed as `.db3.zstd`, or an `.mcap`.
 
     Times are the message header's if it has one, else the bag's. Messages that name other joints
     than most (a gripper's) are left out; joints are matched by name in every message.
@@ -34,7 +43,8 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
     except ImportError as error:
         raise MissingExtraError("rosbags", "bags", f"reading {path}") from error
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    first_ros = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if first_ros else Stores.ROS2_HUMBLE)
     messages, topics = _messages(path, topic)
     if not messages:
         listing = ", ".join(sorted(topics)) or "none"
@@ -43,9 +53,10 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
             cure=Cure("record the joint states' topic"),
             file=str(path),
         )
-    states: list[tuple[int, Any]] = [
-        (stamp, store.deserialize_cdr(data, _JOINT_STATE)) for stamp, data in messages
-    ]
+    read: Callable[[bytes, str], Any] = (
+        store.deserialize_ros1 if first_ros else store.deserialize_cdr
+    )
+    states = [(stamp, read(data, _JOINT_STATE)) for stamp, data in messages]
     names = _usual_names(states)
     kept = [(stamp, state) for stamp, state in states if set(names) <= set(state.name)]
     first = kept[0][1]
@@ -78,26 +89,8 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
 
 
 def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
-    from rosbags.rosbag2 import Reader  # noqa: PLC0415
-
-    storage = path
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        files = sorted([*path.glob("*.db3"), *path.glob("*.mcap")])
-        if len(files) != 1:
-            cure = (
-                "give one of them"
-                if files
-                else "give the file of a recording, or the folder of a bag"
-            )
-            raise RecordingError(
-                f"{path} is no ROS 2 bag: it has no metadata.yaml and {len(files)} .db3 or .mcap"
-                " files",
-                cure=Cure(cure),
-                file=str(path),
-            )
-        storage = files[0]
     try:
-        with Reader(storage) as bag:
+        with _opened(path) as bag:
             topics = {c.topic: c.msgcount for c in bag.connections}
             found = [c for c in bag.connections if c.msgtype == _JOINT_STATE]
             chosen = _choose(path, {c.topic for c in found}, topic)
@@ -110,12 +103,63 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
     except RecordingError:
         raise
     except Exception as error:  # rosbags passes on what its readers of databases raise
+        kind = "ROS 1" if path.suffix == ".bag" else "ROS 2"
         raise RecordingError(
-            f"{path} is not a recording: it cannot be read as a ROS 2 bag ({type(error).__name__}:"
-            f" {error})",
+            f"{path} is not a recording: it cannot be read as a {kind} bag"
+            f" ({type(error).__name__}: {error})",
             file=str(path),
         ) from error
     return messages, topics
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a bag by its suffix; a compressed file is unpacked to a temporary one."""
+    from rosbags.rosbag1 import Reader as FirstReader  # noqa: PLC0415
+    from rosbags.rosbag2 import Reader  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory(prefix="asbuilt-") as folder:
+        storage = _storage(path)
+        if storage.suffix == ".zstd":
+            storage = _unpacked(storage, Path(folder) / storage.stem)
+        with FirstReader(storage) if storage.suffix == ".bag" else Reader(storage) as bag:
+            yield bag
+
+
+def _storage(path: Path) -> Path:
+    """Return the bag, or the only file of a folder without its list."""
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
+        return path
+    files = sorted(
+        each for kind in ("*.db3", "*.db3.zstd", "*.mcap", "*.bag") for each in path.glob(kind)
+    )
+    if len(files) != 1:
+        cure = (
+            "give one of them" if files else "give the file of a recording, or the folder of a bag"
+        )
+        raise RecordingError(
+            f"{path} is no ROS bag: it has no metadata.yaml and {len(files)} files .db3,"
+            " .db3.zstd, .mcap or .bag",
+            cure=Cure(cure),
+            file=str(path),
+        )
+    return files[0]
+
+
+def _unpacked(packed: Path, target: Path) -> Path:
+    """Unpack a file compressed with Zstandard, up to a limit."""
+    standard = sys.version_info >= (3, 14)
+    zstd = import_module("compression.zstd" if standard else "backports.zstd")
+    size = 0
+    with zstd.open(packed, "rb") as file, target.open("wb") as out:
+        while chunk := file.read(1 << 20):
+            size += len(chunk)
+            if size > _UNPACKED:
+                raise RecordingError(
+                    f"{packed} unpacks to more than {_UNPACKED / 1e9:.0f} GB", file=str(packed)
+                )
+            out.write(chunk)
+    return target
 
 
 def _choose(path: Path, topics: set[str], topic: str | None) -> str | None:
@@ -181,9 +225,9 @@ def _values(states: list[tuple[int, Any]], field: str, names: tuple[str, ...]) -
 
 
 FORMATS.register(
-    "rosbag2",
+    "rosbag",
     LogFormat(
-        suffixes=(".db3", ".mcap"),
+        suffixes=(".db3", ".mcap", ".bag", ".zstd"),
         read=lambda path, sheet: read_isolated(read_ros_bag, path, topic=sheet.topic),
         folders=True,
     ),

@@ -10,6 +10,7 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, joined
 from asbuilt.identification.drives.drive_choice import settle_drive
@@ -51,6 +52,9 @@ def choose_settings(
     """
     listed = [path for files in logs for path in files]
     model, (read,) = fitted_recordings(described, (listed,), reading)
+    logged = read[0]
+    if isinstance(logged, Samples):
+        raise UsageError("a ledger is made of logs, not of samples")
     prepared = prepare(model, read, chain=options.chain, checked=options.checked, tolerated=())
     choice = settle_drive(model, prepared.training, options.drive)
     if choice.drive.needs_load:
@@ -59,18 +63,17 @@ def choose_settings(
             " does not merge",
             cure=Cure("leave these terms out", {"drive": "viscous,coulomb,offset"}),
         )
-    if prepared.chain is None:
-        raise UsageError("a ledger is made of logs, not of samples")
+    chain = prepared.chain or SignalChain()
     names = joined([files[0].name for files in logs], most=3)
-    cutoff = "" if prepared.chain.cutoff is None else f", cutoff {prepared.chain.cutoff:.3g} Hz"
+    cutoff = "" if chain.cutoff is None else f", cutoff {chain.cutoff:.3g} Hz"
     return TypeSettings(
         robot_type=robot_type or robot_type_of(described),
         generation=generation,
         described=described,
         model=model,
         drive=choice.drive,
-        chain=prepared.chain,
-        torque_source=head_of(read[0]).torque_source,
+        chain=chain,
+        torque_source=head_of(logged).torque_source,
         asked_drive=None if options.drive is None else str(options.drive),
         asked_chain=options.chain or SignalChain(),
         chosen=(

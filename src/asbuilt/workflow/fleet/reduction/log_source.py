@@ -76,9 +76,9 @@ def date_in_name(path: Path) -> datetime | None:
         found = _IN_NAME.search(text)
         if found:
             year, _, month, day, hour, minute, second = found.groups()
-            parts = (year, month, day, hour or 0, minute or 0, second or 0)
+            time = f"{hour or 0:>02}:{minute or 0:>02}:{second or 0:>02}"
             try:
-                return datetime(*map(int, parts), tzinfo=UTC)  # type: ignore[arg-type]
+                return datetime.fromisoformat(f"{year}-{month}-{day}T{time}+00:00")
             except ValueError:
                 continue
     return None

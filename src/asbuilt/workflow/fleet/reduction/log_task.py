@@ -13,7 +13,12 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
-from asbuilt.experiment.logs.long_recordings import HEAD, head_of
+from asbuilt.experiment.logs.long_recordings import (
+    HEAD,
+    RecordingStream,
+    head_of,
+    is_long,
+)
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.experiment.logs.recordings import fitted_recordings
@@ -37,6 +42,8 @@ from asbuilt.workflow.prepare import prepare
 
 BLOCKS = 16
 """Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all."""
+STREAMED = 50e6
+"""Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB."""
 OTHER_CUTOFF = 1.5
 """Ratio of the cutoff that a log calls for to that of its type from which it is named."""
 OTHER_POSITION = 5e-3
@@ -134,15 +141,15 @@ def reduced_entry(
         If the recording cannot be read, does not fit the type, has errors or no date.
     """
     first = task.paths[0]
-    model, (read,) = fitted_recordings(settings.described, (list(task.paths),), task.reading)
-    head = head_of(read[0])
+    model, logged = _read(task, settings)
+    head = head_of(logged)
     _check_fits(first, model, head, settings)
     began, date_from = log_date(
         first, head, task.date, find_sheet(first, task.reading.sheet)[0].date
     )
     beginning = head.taken(slice(0, HEAD)) if head.n_samples > HEAD else head
     codes = _checked(settings, beginning) if task.checked else ()
-    prepared = prepare(settings.model, read, chain=settings.chain, checked=False)
+    prepared = prepare(settings.model, [logged], chain=settings.chain, checked=False)
     samples = prepared.training[0]
     tilts = ColumnsBeside.tilts(settings.model)
     information = reduced_samples(settings, samples, tilts)
@@ -161,6 +168,19 @@ def reduced_entry(
         tilt=tuple(tilts.products),
     )
     return entry, other_settings(task, settings, beginning)
+
+
+def _read(task: LogTask, settings: TypeSettings) -> tuple[RobotModel, Recording | RecordingStream]:
+    """Return the robot as it was recorded, and the recording; a stream where it is large."""
+    first = task.paths[0]
+    sheet = find_sheet(first, task.reading.sheet)[0]
+    plain = not (sheet.lock or task.reading.lock or sheet.columns.extra)
+    if plain and len(task.paths) == 1 and is_long(first, STREAMED):
+        return settings.model, RecordingStream(first, settings.model, task.reading)
+    model, (read,) = fitted_recordings(settings.described, (list(task.paths),), task.reading)
+    if isinstance(read[0], Samples):
+        raise RecordingError(f"{first} holds samples, not a recording")
+    return model, read[0]
 
 
 def reduced_samples(

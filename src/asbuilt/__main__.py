@@ -1,0 +1,5 @@
+"""Run the command line as `python -m asbuilt`."""
+
+from asbuilt.cli import run
+
+run()

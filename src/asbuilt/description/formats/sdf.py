@@ -1,0 +1,276 @@
+"""Robots from SDF (Simulation Description Format), by way of the same robot as URDF.
+
+SDF states poses in the frame of the model or in any named frame, URDF from joint to joint. The
+robot is written anew as URDF, with a massless body at every joint, and read by that reader
+(format: http://sdformat.org/spec).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.finite import finite_number
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
+from asbuilt.description.formats.urdf import read_urdf
+from asbuilt.description.formats.xml import close_match, described_text, outermost_tag, parsed_xml
+from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import (
+    composed,
+    inverted,
+    placement,
+    rotation_from_rpy,
+    rpy_from_rotation,
+)
+from asbuilt.errors import DescriptionError
+
+KINDS = ("revolute", "continuous", "prismatic", "fixed")
+MODEL = "__model__"
+"""Name that SDF gives to the frame of a model."""
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+UNLIMITED = 1e15
+"""Limits from here on are SDF's way to state none."""
+
+
+@dataclass
+class _Frames:
+    """Find where the frames of a model are: each in the frame that it is attached to."""
+
+    source: str
+    stated: dict[str, tuple[str, Array]] = field(default_factory=dict)
+    found: dict[str, Array] = field(default_factory=lambda: {MODEL: np.eye(4)})
+
+    def pose(self, name: str, asked_by: tuple[str, ...] = ()) -> Array:
+        """Return the pose (4, 4) of a frame in the frame of the model."""
+        if name in asked_by:
+            raise DescriptionError(
+                f"{self.source}: the poses of {', '.join(asked_by)} refer to each other in a circle"
+            )
+        if name not in self.found:
+            if name not in self.stated:
+                raise DescriptionError(
+                    f"{self.source}: there is no link, joint or frame"
+                    f" {name!r}{close_match(name, self.stated)}"
+                )
+            origin, pose = self.stated[name]
+            self.found[name] = composed(self.pose(origin, (*asked_by, name)), pose)
+        return self.found[name]
+
+
+def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
+    """Read a robot from an SDF file or from the XML text itself.
+
+    One model is read, by itself or in a world; included and nested models are refused. Gravity is
+    that of the world, else of the Earth.
+
+    Raises
+    ------
+    DescriptionError
+        Naming the element, what was given and what would do.
+    """
+    content, source = described_text(path_or_text)
+    root = parsed_xml(content, source)
+    if root.tag != "sdf":
+        raise DescriptionError(f"{source}: the outermost element is <{root.tag}>, expected <sdf>")
+    model = _only_model(root, source)
+    robot = read_urdf(tostring(_as_urdf(model, source)))
+    gravity = root.find("world/gravity")
+    turned = np.eye(3) if model.find("pose") is None else _pose(model, source)[:3, :3]
+    free_fall = (
+        np.asarray(robot.gravity)
+        if gravity is None
+        else _numbers(gravity.text, 3, f"{source}: <gravity>")
+    )
+    return replace(robot, source=source, gravity=turned.T @ free_fall)
+
+
+def _only_model(root: Element, source: str) -> Element:
+    models = [*root.findall("model"), *root.findall("world/model")]
+    if len(models) != 1:
+        names = ", ".join(str(each.get("name")) for each in models)
+        raise DescriptionError(
+            f"{source}: it has {len(models)} models{f' ({names})' if names else ''}; keep the robot"
+            " alone"
+        )
+    (model,) = models
+    for tag in ("include", "model"):
+        nested = model.find(tag)
+        if nested is not None:
+            raise DescriptionError(
+                f"{source}: model {model.get('name')!r} has <{tag}>, which is not read; write all"
+                " links and joints into one model, as  gz sdf -p FILE  does"
+            )
+    return model
+
+
+def _as_urdf(model: Element, source: str) -> Element:
+    frames = _frames(model, source)
+    robot = Element("robot", name=str(model.get("name") or "robot"))
+    children = {_text(joint, "child", source) for joint in model.findall("joint")}
+    SubElement(robot, "link", name=MODEL)
+    for link in model.findall("link"):
+        _add_link(robot, link, source)
+        if link.get("name") not in children:
+            _connect(robot, f"{MODEL} {link.get('name')}", MODEL, link.get("name"), "fixed", frames)
+    for joint in model.findall("joint"):
+        _add_joint(robot, joint, frames, source)
+    return robot
+
+
+def _frames(model: Element, source: str) -> _Frames:
+    frames = _Frames(source, {"world": (MODEL, np.eye(4))})
+    for tag, usual in (("link", MODEL), ("frame", MODEL), ("joint", "")):
+        for element in model.findall(tag):
+            name = element.get("name")
+            if not name or name in frames.stated:
+                raise DescriptionError(f"{source}: a <{tag}> has no name of its own ({name!r})")
+            origin = usual or _text(element, "child", source)
+            origin = element.get("attached_to") or origin
+            pose = element.find("pose")
+            relative = None if pose is None else pose.get("relative_to")
+            frames.stated[name] = (relative or origin, _pose(element, f"{source}, {name}"))
+    return frames
+
+
+def _add_link(robot: Element, link: Element, source: str) -> None:
+    name = str(link.get("name"))
+    written = SubElement(robot, "link", name=name)
+    inertial = link.find("inertial")
+    if inertial is None:
+        return
+    place = f"{source}, link {name!r}"
+    body = SubElement(written, "inertial")
+    _add_origin(body, _pose(inertial, place))
+    SubElement(body, "mass", value=_text(inertial, "mass", place, "1.0"))
+    inertia = inertial.find("inertia")
+    usual = {each: "1.0" if each[1] == each[2] else "0.0" for each in INERTIA}
+    given = usual if inertia is None else {k: _text(inertia, k, place, usual[k]) for k in INERTIA}
+    SubElement(body, "inertia", given)
+
+
+def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> None:
+    name, kind = str(joint.get("name")), str(joint.get("type"))
+    place = f"{source}, joint {name!r}"
+    if kind not in KINDS:
+        raise DescriptionError(f"{place}: type {kind!r} is not one of {', '.join(KINDS)}")
+    parent, child = _text(joint, "parent", place), _text(joint, "child", place)
+    parent = MODEL if parent == "world" else parent
+    body = f"{name} (joint)"
+    SubElement(robot, "link", name=body)
+    written = _connect(robot, name, parent, body, kind, frames, at=name)
+    _connect(robot, f"{name} (link)", body, child, "fixed", frames, start=name)
+    axis = joint.find("axis")
+    if kind == "fixed":
+        return
+    if axis is None:
+        raise DescriptionError(f"{place}: a {kind} joint needs <axis>")
+    _add_axis(written, axis, kind, frames, name, place)
+
+
+def _add_axis(
+    written: Element, axis: Element, kind: str, frames: _Frames, name: str, place: str
+) -> None:
+    xyz = axis.find("xyz")
+    direction = np.array([0.0, 0.0, 1.0])
+    if xyz is not None:
+        direction = _numbers(xyz.text, 3, f"{place}: <xyz>")
+        said = xyz.get("expressed_in")
+        old = _text(axis, "use_parent_model_frame", place, "false") in ("true", "1")
+        if said or old:
+            turned = frames.pose(name)[:3, :3].T @ frames.pose(said or MODEL)[:3, :3]
+            direction = turned @ direction
+    SubElement(written, "axis", xyz=_spaced(direction))
+    limit, bounds = axis.find("limit"), {}
+    for key in ("lower", "upper", "effort", "velocity"):
+        value = None if limit is None else limit.find(key)
+        if value is not None:
+            number = _finite_or_none(value.text, f"{place}: <{key}>")
+            if number is not None and not (key in ("effort", "velocity") and number < 0.0):
+                bounds[key] = repr(number)
+    if kind == "revolute" and not {"lower", "upper"} <= set(bounds):
+        written.set("type", "continuous")
+    if bounds:
+        SubElement(written, "limit", {"effort": "0", "velocity": "0"} | bounds)
+    dynamics = axis.find("dynamics")
+    if dynamics is not None:
+        given = {key: _text(dynamics, key, place, "0") for key in ("damping", "friction")}
+        SubElement(written, "dynamics", given)
+
+
+def _finite_or_none(text: str | None, what: str) -> float | None:
+    """Return a limit, None where SDF states that there is none."""
+    if (text or "").strip().lstrip("+-").lower() in ("inf", "infinity"):
+        return None
+    value = finite_number((text or "").strip(), what)
+    return None if abs(value) >= UNLIMITED else value
+
+
+def _connect(
+    robot: Element,
+    name: str,
+    parent: str,
+    child: str | None,
+    kind: str,
+    frames: _Frames,
+    *,
+    at: str = "",
+    start: str = "",
+) -> Element:
+    """Add a joint from the frame `start` (of the parent) to the frame `at` (of the child)."""
+    joint = SubElement(robot, "joint", name=name, type=kind)
+    begin, end = frames.pose(start or parent), frames.pose(at or str(child))
+    _add_origin(joint, composed(inverted(begin), end))
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=str(child))
+    return joint
+
+
+def _add_origin(element: Element, pose: Array) -> None:
+    rpy = rpy_from_rotation(pose[:3, :3])
+    SubElement(element, "origin", xyz=_spaced(pose[:3, 3]), rpy=_spaced(rpy))
+
+
+def _spaced(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _pose(element: Element, place: str) -> Array:
+    pose = element.find("pose")
+    if pose is None or not (pose.text or "").strip():
+        return np.eye(4)
+    if pose.get("rotation_format") not in (None, "euler_rpy"):
+        raise DescriptionError(f"{place}: the rotation of <pose> must be given as euler_rpy")
+    values = _numbers(pose.text, 6, f"{place}: <pose>")
+    angles = np.deg2rad(values[3:]) if pose.get("degrees") in ("true", "1") else values[3:]
+    return placement(rotation_from_rpy(angles), values[:3])
+
+
+def _numbers(text: str | None, count: int, what: str) -> Array:
+    cells = (text or "").split()
+    if len(cells) != count:
+        raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
+    return np.array([finite_number(cell, what) for cell in cells])
+
+
+def _text(element: Element, tag: str, place: str, default: str | None = None) -> str:
+    found = element.find(tag)
+    text = (found.text or "").strip() if found is not None else ""
+    if not text:
+        if default is None:
+            raise DescriptionError(
+                f"{place}: <{element.tag} name={element.get('name')!r}> has no <{tag}>"
+            )
+        return default
+    return text
+
+
+FORMATS.register(
+    "sdf",
+    DescriptionFormat(
+        "SDF", (".sdf", ".world", ".xml"), read_sdf, lambda content: outermost_tag(content) == "sdf"
+    ),
+)

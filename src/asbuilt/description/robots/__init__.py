@@ -1,0 +1,1 @@
+"""Robots by name: the bundled ones, and those of the package robot_descriptions."""

@@ -1,0 +1,47 @@
+"""xacro files are expanded by the package xacro; what it refuses is one error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from asbuilt.description.formats.xacro import read_xacro
+from asbuilt.description.load import load_robot
+from asbuilt.errors import DescriptionError
+
+ARM = """<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:property name="length" value="0.4"/>
+<xacro:macro name="limb" params="k parent">
+  <link name="l${k}"><inertial><origin xyz="${length / 2} 0 0"/><mass value="${2 * k}"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="j${k}" type="continuous"><origin xyz="${length} 0 0"/><axis xyz="0 0 1"/>
+    <parent link="${parent}"/><child link="l${k}"/></joint>
+</xacro:macro>
+<link name="floor"/>
+<xacro:limb k="1" parent="floor"/><xacro:limb k="2" parent="l1"/>
+</robot>"""
+
+
+def test_macros_and_properties_become_links(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    (tmp_path / "arm.urdf.xacro").write_text(ARM)
+    robot = load_robot(tmp_path / "arm.urdf.xacro")
+    assert robot.joint_names == ("j1", "j2")
+    assert [link.inertia.mass for link in robot.links] == [2.0, 4.0]
+    assert robot.links[1].inertia.com[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("length / 2", "unknown / 2"),
+        ('<link name="floor"/>', '<xacro:include filename="$(find nowhere)/x.xacro"/>'),
+        ("2 * k", "'a' * 10**10"),
+    ],
+)
+def test_what_cannot_be_expanded_is_one_error(tmp_path: Path, old: str, new: str) -> None:
+    pytest.importorskip("xacro")
+    (tmp_path / "arm.xacro").write_text(ARM.replace(old, new))
+    with pytest.raises(DescriptionError, match=r"arm\.xacro: xacro cannot expand it"):
+        read_xacro(tmp_path / "arm.xacro")
