@@ -12,6 +12,10 @@ from asbuilt.arrays import Array
 
 DRAWS = 4000
 """Simulated histories without a change."""
+FEWEST_HISTORIES = 12
+"""Shuffled histories below which the theoretical distribution is used."""
+MOST_DEGREES = 2.0
+"""Most degrees of freedom fitted, in the number of directions."""
 RESOLVED = 40
 """Rank among them below which the simulation is not used."""
 
@@ -25,6 +29,56 @@ class ScanRules:
 
 
 SCAN = ScanRules()
+
+
+@dataclass(frozen=True, slots=True)
+class NullDistribution:
+    """Describe the statistic of a change at a given candidate without one.
+
+    It is `scale first` times an F variable with `first` and `second` degrees of freedom; infinite
+    `second`: `scale` times a chi-square variable. p-values of scans are raised to `power`, at most
+    1, so that 5 % of histories without a change have one below 5 %.
+    """
+
+    scale: float
+    first: float
+    second: float = np.inf
+    power: float = 1.0
+
+    @classmethod
+    def theoretical(cls, r: int) -> NullDistribution:
+        """Return that of a known variation: chi-square with r degrees of freedom."""
+        return cls(1.0, float(r))
+
+    @classmethod
+    def fitted(cls, values: Array, r: int, degrees: float, histories: int) -> NullDistribution:
+        """Return that with the mean and variance of statistics without a change.
+
+        The F variable has the second degrees of freedom of Hotelling's statistic for a covariance
+        with `degrees` degrees of freedom, nu - r + 1 (Anderson, An Introduction to Multivariate
+        Statistical Analysis, 2003, section 5.2).
+        """
+        second = degrees - r + 1.0
+        if second < 10.0:
+            second = np.inf
+        tail = 1.0 if not np.isfinite(second) else (second - 2.0) / second
+        if histories < FEWEST_HISTORIES:
+            return cls(1.0 / tail, float(r), second)
+        mean, variation = float(values.mean()), float(values.var() / values.mean() ** 2)
+        if np.isfinite(second):
+            spare = (second - 4.0) * variation - 2.0
+            first = 2.0 * (second - 2.0) / spare if spare > 0.0 else MOST_DEGREES * r
+        else:
+            first = 2.0 / variation
+        first = float(np.clip(first, 1.0, MOST_DEGREES * r))
+        return cls(mean * tail / first, first, second)
+
+    def exceeded(self, statistic: float | Array) -> Array:
+        """Return the probability of a larger statistic."""
+        if not np.isfinite(self.second):
+            return np.asarray(chdtrc(self.first, np.asarray(statistic) / self.scale))
+        scaled = np.asarray(statistic) / (self.scale * self.first)
+        return np.asarray(fdtrc(self.first, self.second, scaled))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +111,7 @@ def scan(
     score: Array,
     variation: Array,
     *,
-    degrees: float = np.inf,
+    null: NullDistribution | None = None,
     inflation: float = 1.0,
     first: int = 0,
 ) -> Scan | None:
@@ -66,7 +120,7 @@ def scan(
     Day t gives `y_t = mu + delta [t >= c] + v_t + e_t` with `cov v = V`, `cov e = J_t^-1`; its
     weight is `P_t = (V + J_t^-1)^-1 = (I + J_t V)^-1 J_t`, which exists for singular J_t. The
     statistic of a change at c is Wald's for delta = 0, chi-square with r degrees of freedom
-    without a change, and by Hotelling's F if V comes from `degrees` residuals.
+    without a change if V is known.
 
     Parameters
     ----------
@@ -74,8 +128,8 @@ def scan(
         J_t (d, r, r) and `J_t y_t` (d, r).
     variation
         V (r, r), positive semidefinite.
-    degrees
-        Degrees of freedom of V.
+    null
+        Distribution of the statistic without a change; None: chi-square.
     inflation
         Factor of the variance that autocorrelation and the robot's own spread add.
     first
@@ -101,26 +155,15 @@ def scan(
     C = (C + np.swapaxes(C, 1, 2)) / 2.0 + 1e-9 * np.trace(N) / r * np.eye(r)
     statistics = np.einsum("cr,cr->c", u, np.linalg.solve(C, u[..., None])[..., 0]) / inflation
     best = int(np.argmax(statistics))
-    single = float(single_probability(statistics[best], r, degrees))
+    known = null or NullDistribution.theoretical(r)
+    single = float(known.exceeded(statistics[best]))
     return Scan(
         statistics,
         candidates,
         int(candidates[best]),
         float(statistics[best]),
-        scan_probability(single, d, r, int(candidates[0])),
+        scan_probability(single, d, r, int(candidates[0])) ** known.power,
     )
-
-
-def single_probability(statistic: float | Array, r: int, degrees: float) -> Array:
-    """Return the probability of a larger statistic at a given candidate.
-
-    Hotelling's T^2 with nu degrees of freedom is `nu r / (nu - r + 1)` times an F variable
-    (Anderson, An Introduction to Multivariate Statistical Analysis, 2003, section 5.2).
-    """
-    if not np.isfinite(degrees):
-        return np.asarray(chdtrc(r, statistic))
-    rest = max(degrees - r + 1.0, 1.0)
-    return np.asarray(fdtrc(r, rest, np.asarray(statistic) * rest / (degrees * r)))
 
 
 def scan_probability(single: float, d: int, r: int, first: int = SCAN.before) -> float:

@@ -10,20 +10,23 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.workflow.fleet.drift.columns import FleetColumns, summed
 from asbuilt.workflow.fleet.drift.days import Day
+from asbuilt.workflow.fleet.drift.sources import usual_changes
 
 
 @dataclass(frozen=True, slots=True)
 class DirectionRules:
     """Say which directions are kept; own choices, on virtual fleets of two types.
 
-    `weakest` is the least eigenvalue of the information with columns scaled alike, relative to the
-    largest; `most` directions; `days_each` is the least number of days of the fleet for each.
+    `weakest` is the least size of a usual change along a direction in standard errors of a day;
+    `most` directions; `days_each` is the least number of days of the fleet for each;
+    `days_of_noise` of each robot give the noise.
     """
 
-    weakest: float = 2e-3
-    most: int = 28
+    weakest: float = 1.0
+    most: int = 32
     days_each: float = 4.0
     iterations: int = 4
+    days_of_noise: int = 4
 
 
 RULES = DirectionRules()
@@ -73,8 +76,10 @@ class Directions:
 def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> Directions:
     """Return the directions in which the days of some robots of a type have information.
 
-    They are the principal axes of the mean information of a day with columns scaled to equal
-    length. The noise of a joint is the median over the robots of its RMS residual.
+    They are those along which usual changes of the sources are largest in standard errors of a
+    day: with the mean information J of a day and changes F, the principal axes of `J^1/2 F`, scaled
+    to `Q^T J Q = 1`. The noise of a joint is the
+    median over days of its RMS residual about a fit of that day alone.
     """
     totals = [summed(days) for days in robots]
     samples = np.array([sum(day.n_samples for day in days) for days in robots], dtype=float)
@@ -84,21 +89,39 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     beta, own = zero, [zero] * len(totals)
     for _ in range(RULES.iterations):
         own = [columns.fit(grams, weights, zero) for grams in totals]
-        weights = 1.0 / np.maximum(_rms(columns, totals, samples, own), floor)
+        weights = 1.0 / np.maximum(_noise(columns, robots, weights, own), floor)
     beta = np.median(own, axis=0)
     n_days = sum(len(days) for days in robots)
     J = np.zeros((columns.size, columns.size))
     for grams, values in zip(totals, own, strict=True):
         J += columns.information(grams, values, weights)[:-1, :-1] / n_days
-    length = np.sqrt(np.diag(J))
-    present = length > 1e-6 * length.max()
-    scale = np.where(present, length, 1.0)
-    S = np.where(np.outer(present, present), J / np.outer(scale, scale), 0.0)
-    eigenvalues, axes = np.linalg.eigh(S)
+    J += 1e-12 * np.diag(np.diag(J))
+    changes = usual_changes(columns, J, beta, n_samples=float(samples.sum()) / n_days)
+    length = np.sqrt(np.maximum(np.diag(J), 1e-300))
+    values, axes = np.linalg.eigh(J / np.outer(length, length))
+    root = (axes * np.sqrt(np.maximum(values, 0.0))).T * length
+    _, sizes, right = np.linalg.svd(root @ changes, full_matrices=False)
     most = min(RULES.most, max(3, int(n_days / RULES.days_each)))
-    kept = np.flatnonzero(eigenvalues > RULES.weakest * eigenvalues[-1])[-most:]
-    basis = axes[:, kept] / np.sqrt(eigenvalues[kept]) / scale[:, None]
+    kept = np.flatnonzero(sizes >= min(RULES.weakest, sizes[0]))[:most]
+    basis = changes @ right[kept].T / sizes[kept]
     return Directions(columns, weights, basis, beta)
+
+
+def _noise(
+    columns: FleetColumns,
+    robots: Sequence[Sequence[Day]],
+    weights: Array,
+    betas: Sequence[Array],
+) -> Array:
+    """Return the median RMS residual of each joint about fits of single days, (n,)."""
+    found = []
+    spent = columns.base.n_base / columns.n_joints
+    for days, toward in zip(robots, betas, strict=True):
+        for day in days[:: max(1, len(days) // RULES.days_of_noise)]:
+            own = columns.fit(day.grams, weights, toward)
+            freedom = max(day.n_samples - spent, 0.1 * day.n_samples)
+            found.append(np.sqrt(columns.residual_energy(day.grams, own) / freedom))
+    return np.asarray(np.median(found, axis=0))
 
 
 def _rms(

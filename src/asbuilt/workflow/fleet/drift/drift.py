@@ -404,7 +404,7 @@ def _robot_drift(
         adjusted.information,
         adjusted.score,
         variation.covariance,
-        degrees=variation.degrees,
+        null=variation.null,
         inflation=inflation,
         first=first,
     )

@@ -18,6 +18,8 @@ from asbuilt.workflow.fleet.drift.variation import Variation
 MOST_SOURCES = 3
 WORTH_NAMING = 0.05
 """Share of a change's statistic from which a further source is named."""
+SPECIAL = 0.7
+"""Share of the statistic of the mass distribution that a special source has at least."""
 WEAKEST = 1e-8
 """Eigenvalue of scaled information, relative to the largest, below which nothing is determined."""
 
@@ -88,8 +90,8 @@ def explain_change(
     """Return the sources of a step of a robot at a day, the most important first.
 
     Each source alone is fitted to the step by generalised least squares beside the robot's mean,
-    with the variation from day to day in the covariance; the best by the statistic less twice its
-    parameters (Akaike, 1974), scaled by what no source explains, is taken, then a further one
+    with the variation from day to day in the covariance; the best by the statistic less four
+    times its parameters, scaled by what no source explains, is taken, then a further one
     beside it as long as that adds much.
     """
     columns = directions.columns
@@ -111,7 +113,7 @@ def explain_change(
         if not tried:
             break
         spread = max(inflation, (whole - max(g for g, _ in tried)) / columns.size, 1e-300)
-        best = max(tried, key=lambda each: each[0] - 2.0 * each[1].design.shape[1] * spread)
+        best = _best(tried, spread)
         more = best[0] - reached
         if taken and (
             more < WORTH_NAMING * whole
@@ -132,6 +134,16 @@ def explain_change(
         spread_here = source.design @ covariance[part, part] @ source.design.T * inflation
         said.append(_change(directions, source, x, spread_here, rms, beta, grams, found[part]))
     return tuple(sorted(said, key=lambda each: -each.torque))
+
+
+def _best(tried: Sequence[tuple[float, Source]], spread: float) -> tuple[float, Source]:
+    """Return the best source; the mass distribution, which contains others, as a last resort."""
+    special = [each for each in tried if each[1].cause != "links"]
+    best = max(
+        special or tried, key=lambda each: each[0] - 4.0 * each[1].design.shape[1] * spread
+    )
+    general = [each for each in tried if each[1].cause == "links"]
+    return general[0] if general and best[0] < SPECIAL * general[0][0] else best
 
 
 def _overlap(source: Source, other: Source) -> bool:

@@ -69,6 +69,54 @@ def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
     return tuple(found)
 
 
+@dataclass(frozen=True, slots=True)
+class UsualChanges:
+    """Sizes of changes that robots usually undergo; they choose directions, and bias nothing.
+
+    Shares of friction and armature, a gain, a tilt [rad], and inertia [kg m^2], first moments
+    [kg m] and mass [kg] of a payload. Offsets and mass distributions have the torque of the noise.
+    """
+
+    friction: float = 0.3
+    armature: float = 0.1
+    gain: float = 0.05
+    tilt: float = 0.005
+    payload: tuple[float, float, float] = (0.005, 0.05, 0.5)
+
+
+USUAL = UsualChanges()
+
+
+def usual_changes(
+    columns: FleetColumns, information: Array, beta: Array, n_samples: float
+) -> Array:
+    """Return the changes of sources of usual size, (size, number of changes).
+
+    `information` is that of a day of `n_samples` samples, about the parameters beta.
+    """
+    noise = np.sqrt(n_samples / np.maximum(np.diag(information), 1e-300))
+    noise[np.diag(information) <= 1e-9 * np.max(np.diag(information)) / n_samples] = 0.0
+    found = []
+    inertia, moment, mass = USUAL.payload
+    for source in sources_of(columns):
+        places = np.argmax(np.abs(source.design), axis=0)
+        if source.cause in ("friction", "armature"):
+            share = USUAL.friction if source.cause == "friction" else USUAL.armature
+            size = share * np.abs(beta[places])
+        elif source.cause == "gain":
+            size = np.array([USUAL.gain])
+        elif source.cause == "mounting":
+            size = np.array([USUAL.tilt] * 2)
+        elif source.cause == "payload":
+            if source.design.shape[1] < len(PAYLOAD_SIZE):
+                continue
+            size = np.array([inertia] * 6 + [moment] * 3 + [mass]) / PAYLOAD_SIZE
+        else:
+            size = noise[places]
+        found.append(source.design * size)
+    return np.hstack(found)
+
+
 def _units(size: int, places: list[int]) -> Array:
     design = np.zeros((size, len(places)))
     design[places, np.arange(len(places))] = 1.0

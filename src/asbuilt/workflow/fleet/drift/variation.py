@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
 
 from asbuilt.arrays import Array
-from asbuilt.workflow.fleet.drift.change_points import scan
+from asbuilt.workflow.fleet.drift.change_points import (
+    NullDistribution,
+    scan,
+    scan_probability,
+)
 
 CLEAR = 1e-3
 """Probability of a scan below which a robot's history is cut for the estimate of variation."""
@@ -18,8 +22,15 @@ OUTLYING = 0.01
 OWN_DAYS = 12.0
 """Days of its siblings that count beside a robot's own spread."""
 ITERATIONS = 3
-STEPS = 8
-"""Steps of expectation and maximisation between two scans."""
+STEPS = 4
+"""Scoring steps between two scans."""
+SHUFFLES = 8
+FEWEST_SHUFFLED = 40
+"""Shuffled histories from which the tail of the distribution is calibrated."""
+LEVEL = 0.05
+"""Probability at which it is."""
+MOST_SHUFFLED = 60
+"""Robots whose days are shuffled."""
 WIDE = 3
 """Days on both sides of a change that may belong to a gradual one, and do not count."""
 
@@ -74,6 +85,8 @@ class Variation:
         Degrees of freedom behind it.
     inflations
         Factor of the variance of each robot: autocorrelation and its own spread.
+    null
+        Distribution of the statistic of a change without one.
     autocorrelation
         Of neighbouring days.
     coefficients
@@ -85,13 +98,15 @@ class Variation:
     inflations: Array
     autocorrelation: float
     coefficients: Array
+    null: NullDistribution
 
 
 def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Variation:
-    """Estimate the variation of robots of a type by restricted maximum likelihood.
+    """Estimate the variation of robots of a type by moments of weighted residuals.
 
-    `y_t = mu + v_t + e_t` with a mean for each robot; V by expectation and maximisation (Dempster,
-    Laird & Rubin, J. Royal Stat. Soc. B 39, 1977), from differences of neighbouring days, which one
+    `y_t = mu + v_t + e_t` with a mean for each robot; V by scoring steps, which solve the moment
+    equations of restricted maximum likelihood (Harville, J. Am. Stat. Assoc. 72, 1977), from
+    differences of neighbouring days, which one
     change of a robot hardly moves. Robots whose scan then finds a change get a mean before and
     after it, and days far off less weight, so robots that changed do not count as varying (Huber,
     Robust Statistics, 1981, chapter 8).
@@ -109,15 +124,53 @@ def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Var
         counts = np.array([sum(len(score) - 1 for _, score in each) for each in parts])
         degrees = float(counts.sum())
         if not degrees:
-            return Variation(V, np.inf, inflations, 0.0, coefficients)
+            null = NullDistribution.theoretical(r)
+            return Variation(V, 0.0, inflations, 0.0, coefficients, null)
         for _ in range(STEPS):
-            V = _maximised([segment for each in parts for segment in each], V)
+            V = _scored([segment for each in parts for segment in each], V)
         whitened = [[_whitened(J, s, V) for J, s in each] for each in parts]
         own = np.array([sum(float(np.sum(z * z)) for z in each) for each in whitened])
         spread = (r * OWN_DAYS + own) / (r * (OWN_DAYS + counts))
         rho = _autocorrelation([z for each in whitened for z in each])
-        inflations = np.maximum(spread, 1.0) * (1.0 + rho) / (1.0 - rho)
-    return Variation(V, degrees, inflations, rho, coefficients)
+        inflations = np.maximum(spread, 1.0)
+    quiet = [
+        (each, float(s))
+        for each, s, segments in zip(found, inflations, parts, strict=True)
+        if len(segments) == 1 and len(segments[0][1]) == each.n_days
+    ]
+    null = _null_distribution(quiet, V, degrees)
+    return Variation(
+        V, degrees, inflations * (1.0 + rho) / (1.0 - rho), rho, coefficients, null
+    )
+
+
+def _null_distribution(
+    quiet: Sequence[tuple[History, float]], V: Array, degrees: float
+) -> NullDistribution:
+    """Return the distribution of the statistic in histories with their days in random order.
+
+    Order means nothing without a change, so shuffled histories have none, and all else that the
+    estimate of V does to the statistic (Good, Permutation, Parametric and Bootstrap Tests of
+    Hypotheses, 2005).
+    """
+    rng, shuffled = np.random.default_rng(0), []
+    step = max(1, -(-len(quiet) // MOST_SHUFFLED))
+    for history, spread in quiet[::step]:
+        for _ in range(SHUFFLES):
+            order = rng.permutation(history.n_days)
+            found = scan(history.information[order], history.score[order], V, inflation=spread)
+            if found is not None:
+                shuffled.append((found.statistics, history.n_days))
+    pooled = np.concatenate([each for each, _ in shuffled]) if shuffled else np.zeros(0)
+    null = NullDistribution.fitted(pooled, len(V), degrees, len(shuffled))
+    if len(shuffled) < FEWEST_SHUFFLED:
+        return null
+    p = [
+        scan_probability(float(null.exceeded(each.max())), d, len(V)) for each, d in shuffled
+    ]
+    low = float(np.quantile(p, LEVEL))
+    power = min(1.0, np.log(LEVEL) / np.log(max(low, 1e-12)))
+    return replace(null, power=power)
 
 
 def _start(histories: Sequence[History]) -> Array:
@@ -163,22 +216,31 @@ def _about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
     return P, b - P @ mean
 
 
-def _maximised(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
-    """Return V after one step of expectation and maximisation."""
+def _scored(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
+    """Return V after one step of scoring: `V + A^-1 (U - A) A^-1`.
+
+    U is the mean of `u u^T` of the weighted residuals `u = P (y - mu)`, A its expectation. What is
+    negative in units of the total covariance is zero.
+    """
     r = len(V)
     limit = float(chdtri(r, OUTLYING))
-    total, degrees = np.zeros((r, r)), 0.0
+    U, A, n = np.zeros((r, r)), 1e-9 * np.eye(r), 0
     for J, s in segments:
         P, u = _about_mean(J, s, V)
-        far = _squares(P, u)
-        weight = np.sqrt(np.minimum(1.0, limit / np.maximum(far, 1e-300)))
-        v = (u * weight[:, None]) @ V
-        total += v.T @ v
-        inverse = np.linalg.pinv(P.sum(axis=0), hermitian=True)
-        spent = np.einsum("tij,jk,tkl->il", P, inverse, P, optimize=True)
-        total += len(s) * V - V @ (P.sum(axis=0) - spent) @ V
-        degrees += len(s)
-    return _positive(_shrunk(total / max(degrees, 1.0), degrees))
+        weight = np.sqrt(np.minimum(1.0, limit / np.maximum(_squares(P, u), 1e-300)))
+        u = u * weight[:, None]
+        total = P.sum(axis=0)
+        spent = np.einsum(
+            "tij,jk,tkl->il", P, np.linalg.pinv(total, hermitian=True), P, optimize=True
+        )
+        U, A, n = U + u.T @ u, A + total - spent, n + len(s)
+    values, axes = np.linalg.eigh((A + A.T) / 2.0)
+    root = axes / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    change = n * (root @ (root.T @ U @ root - np.eye(r)) @ root.T)
+    back = (axes * np.sqrt(values)) @ axes.T / np.sqrt(n)
+    new = _positive(back @ (V + change) @ back)
+    inverse = np.linalg.inv(back)
+    return np.asarray(inverse @ new @ inverse)
 
 
 def _squares(P: Array, u: Array) -> Array:
