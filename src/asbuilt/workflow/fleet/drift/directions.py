@@ -96,7 +96,7 @@ def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> D
     for grams, values in zip(totals, own, strict=True):
         J += columns.information(grams, values, weights)[:-1, :-1] / n_days
     J += 1e-12 * np.diag(np.diag(J))
-    changes = usual_changes(columns, J, beta, n_samples=float(samples.sum()) / n_days)
+    changes = usual_changes(columns, J, beta)
     length = np.sqrt(np.maximum(np.diag(J), 1e-300))
     values, axes = np.linalg.eigh(J / np.outer(length, length))
     root = (axes * np.sqrt(np.maximum(values, 0.0))).T * length

@@ -74,7 +74,8 @@ class UsualChanges:
     """Sizes of changes that robots usually undergo; they choose directions, and bias nothing.
 
     Shares of friction and armature, a gain, a tilt [rad], and inertia [kg m^2], first moments
-    [kg m] and mass [kg] of a payload. Offsets and mass distributions have the torque of the noise.
+    [kg m] and mass [kg] of a payload. Offsets and mass distributions are changed by `others`, and
+    all at most by `most`, in standard errors of a day of the change alone.
     """
 
     friction: float = 0.3
@@ -82,38 +83,34 @@ class UsualChanges:
     gain: float = 0.05
     tilt: float = 0.005
     payload: tuple[float, float, float] = (0.005, 0.05, 0.5)
+    others: float = 3.0
+    most: float = 12.0
 
 
 USUAL = UsualChanges()
 
 
-def usual_changes(
-    columns: FleetColumns, information: Array, beta: Array, n_samples: float
-) -> Array:
+def usual_changes(columns: FleetColumns, information: Array, beta: Array) -> Array:
     """Return the changes of sources of usual size, (size, number of changes).
 
-    `information` is that of a day of `n_samples` samples, about the parameters beta.
+    `information` is that of a day about the parameters beta.
     """
-    noise = np.sqrt(n_samples / np.maximum(np.diag(information), 1e-300))
-    noise[np.diag(information) <= 1e-9 * np.max(np.diag(information)) / n_samples] = 0.0
     found = []
     inertia, moment, mass = USUAL.payload
+    payload = np.array([inertia] * 6 + [moment] * 3 + [mass]) / PAYLOAD_SIZE
     for source in sources_of(columns):
         places = np.argmax(np.abs(source.design), axis=0)
-        if source.cause in ("friction", "armature"):
-            share = USUAL.friction if source.cause == "friction" else USUAL.armature
-            size = share * np.abs(beta[places])
-        elif source.cause == "gain":
-            size = np.array([USUAL.gain])
-        elif source.cause == "mounting":
-            size = np.array([USUAL.tilt] * 2)
-        elif source.cause == "payload":
-            if source.design.shape[1] < len(PAYLOAD_SIZE):
-                continue
-            size = np.array([inertia] * 6 + [moment] * 3 + [mass]) / PAYLOAD_SIZE
-        else:
-            size = noise[places]
-        found.append(source.design * size)
+        clear = np.sqrt(np.einsum("im,ij,jm->m", source.design, information, source.design))
+        clear = np.where(clear > 0.0, clear, np.inf)
+        sizes = {
+            "friction": USUAL.friction * np.abs(beta[np.minimum(places, len(beta) - 1)]),
+            "armature": USUAL.armature * np.abs(beta[np.minimum(places, len(beta) - 1)]),
+            "gain": np.full(len(places), USUAL.gain),
+            "mounting": np.full(len(places), USUAL.tilt),
+            "payload": payload[-len(places) :],
+        }
+        size = sizes.get(source.cause, USUAL.others / clear)
+        found.append(source.design * np.minimum(size, USUAL.most / clear))
     return np.hstack(found)
 
 
