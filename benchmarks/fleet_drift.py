@@ -215,13 +215,17 @@ def measured(members: dict[str, VirtualMember], drift: FleetDrift) -> dict[str, 
             abs((datetime.fromisoformat(str(each.when)) - START).days - members[each.id].when)
             for each in hit
         ]
-        sizes = [each.what[0].estimate for each in hit if each.what and each.what[0].source == change]
+        sizes = [
+            each.what[0].estimate for each in hit if each.what and each.what[0].source == change
+        ]
         found[change] = {
             "robots": len(ids),
             "found": len(hit),
             "named": dict(named),
             "days_off": max(late, default=None),
-            "median_size": round(float(np.median(np.abs(sizes))), 3) if sizes and None not in sizes else None,
+            "median_size": round(float(np.median(np.abs(sizes))), 3)
+            if sizes and None not in sizes
+            else None,
         }
     return found
 

@@ -49,9 +49,7 @@ def report(
     *,
     out: Annotated[
         Path,
-        typer.Option(
-            "--out", metavar="DIR", help="folder for the page", callback=writable_folder
-        ),
+        typer.Option("--out", metavar="DIR", help="folder for the page", callback=writable_folder),
     ],
     since: ChangesSince = None,
     options: FleetDriftOptions,

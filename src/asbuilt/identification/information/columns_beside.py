@@ -51,5 +51,4 @@ class ColumnsBeside:
         """Add the inner products of the next time block."""
         if not self.products:
             self.products = [np.zeros_like(each) for each in products]
-        for whole, part in zip(self.products, products, strict=True):
-            whole += part
+        self.products = [a + b for a, b in zip(self.products, products, strict=True)]

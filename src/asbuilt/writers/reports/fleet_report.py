@@ -116,7 +116,7 @@ def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Mar
         return Markup("")
     left, bottom, top = (34, 20, 8) if labels else (2, 2, 2)
     first, last = points[0][0], points[-1][0]
-    most = max(LEAST_SCALE, max(y for _, y in points))
+    most = max([LEAST_SCALE, *(y for _, y in points)])
     right = width - (10 if labels else 4)
 
     def x(day: int) -> float:
@@ -125,10 +125,14 @@ def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Mar
     def y(value: float) -> float:
         return height - bottom - (height - bottom - top) * value / most
 
-    parts = [f'<line class="usual" x1="{left}" x2="{right}" y1="{y(USUAL):.1f}" y2="{y(USUAL):.1f}"/>']
+    parts = [
+        f'<line class="usual" x1="{left}" x2="{right}" y1="{y(USUAL):.1f}" y2="{y(USUAL):.1f}"/>'
+    ]
     if robot.changed and robot.when:
         at = x(date.fromisoformat(robot.when[:10]).toordinal())
-        parts.append(f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{y(0):.1f}"/>')
+        parts.append(
+            f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{y(0):.1f}"/>'
+        )
     path = " ".join(f"{x(day):.1f},{y(value):.1f}" for day, value in points)
     parts.append(f'<polyline points="{path}"/>')
     kind = "changed" if robot.changed else "quiet"

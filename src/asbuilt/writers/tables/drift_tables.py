@@ -51,8 +51,8 @@ def drift_text(
                 "",
                 wrapped(
                     f"{kind.robot_type}: {kind.n_robots} robots, {kind.n_days} days; natural"
-                    f" variation from day to day is at most {kind.torque[most]:.2g} RMS torque"
-                    f" (joint {most + 1})"
+                    f" variation from day to day is at most {kind.torque[most]:.2g}"
+                    f" {kind.torque_units[most]} RMS (joint {most + 1})"
                 ),
             ]
     return "\n".join([*lines, *finding_lines(drift.findings, finding_text, full)]) + "\n"

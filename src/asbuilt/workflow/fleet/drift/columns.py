@@ -49,9 +49,7 @@ class FleetColumns:
         units = tuple(
             "N" if joint.kind == "prismatic" else "N m" for joint in settings.model.joints
         )
-        return cls(
-            settings.base, tuple(settings.plan.support), settings.model.joint_names, units
-        )
+        return cls(settings.base, tuple(settings.plan.support), settings.model.joint_names, units)
 
     @property
     def n_joints(self) -> int:
@@ -122,9 +120,7 @@ class FleetColumns:
             b[places] += w * gram[:m, m]
         size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
         A = A / np.outer(size, size) + UNDETERMINED * np.eye(p)
-        return np.asarray(
-            np.linalg.solve(A, b / size + UNDETERMINED * toward * size) / size
-        )
+        return np.asarray(np.linalg.solve(A, b / size + UNDETERMINED * toward * size) / size)
 
     def residual_energy(self, grams: Sequence[Array], beta: Array) -> Array:
         """Return `|tau_k - W_k beta|^2` of every joint, (n,)."""

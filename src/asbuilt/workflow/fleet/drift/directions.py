@@ -65,10 +65,7 @@ class Directions:
     def scores(self, days: Sequence[Day], beta: Array) -> tuple[Array, Array]:
         """Return information (d, r, r) and score (d, r) of each day about a robot's parameters."""
         grams = np.array(
-            [
-                self.columns.information(day.grams, beta, self.weights, self.basis)
-                for day in days
-            ]
+            [self.columns.information(day.grams, beta, self.weights, self.basis) for day in days]
         )
         return grams[:, :-1, :-1], grams[:, :-1, -1]
 

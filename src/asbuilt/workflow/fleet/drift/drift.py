@@ -130,8 +130,8 @@ class TypeVariation:
         Directions that a day of motion determines.
     autocorrelation
         Of neighbouring days.
-    torque
-        RMS torque of the variation at each joint [N m or N].
+    torque, torque_units
+        RMS torque of the variation at each joint, N m or N.
     """
 
     robot_type: str
@@ -140,6 +140,7 @@ class TypeVariation:
     n_directions: int
     autocorrelation: float
     torque: tuple[float, ...]
+    torque_units: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +166,9 @@ class FleetDrift:
             "since": self.since,
             "robots": [each.as_document() for each in self.robots],
             "types": [
-                asdict(each) | {"torque": list(each.torque)} for each in self.types
+                asdict(each)
+                | {"torque": list(each.torque), "torque_units": list(each.torque_units)}
+                for each in self.types
             ],
             "false_discovery_rate": self.false_discovery_rate,
             "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
@@ -266,7 +269,7 @@ def type_drift(
         examples = {each: read(each) for each in robot_ids[::step]}
         sound = [days for days in examples.values() if days]
         if not sound:
-            return [], TypeVariation(robot_type, 0, 0, 0, 0.0, ())
+            return [], TypeVariation(robot_type, 0, 0, 0, 0.0, (), ())
         directions = find_directions(columns, sound)
         dates: dict[str, tuple[Day, ...]] = {}
         histories: dict[str, History] = {}
@@ -302,6 +305,7 @@ def type_drift(
         directions.count,
         variation.autocorrelation,
         _variation_torque(directions, variation, sound),
+        columns.joint_units,
     )
 
 
@@ -410,7 +414,12 @@ def _robot_drift(
     )
     what: tuple[SourceChange, ...] = ()
     if found is not None and found.p_value <= PLAUSIBLE:
-        what = explain_change(directions, variation, read(robot_id), found.place, inflation)
+        days = read(robot_id)
+        what = explain_change(directions, variation, days, found.place, inflation)
+        about = directions.reference(days[: found.place])
+        adjusted = History(*directions.scores(days, about), history.covariates).without(
+            variation.coefficients
+        )
     return RobotDrift(
         robot_id,
         robot_type,
@@ -453,5 +462,3 @@ def _variation_torque(
         for mode in modes.T:
             total += directions.columns.energies(day.grams, mode, directions.beta)
     return tuple(float(x) for x in np.sqrt(total / max(n, 1)))
-
-

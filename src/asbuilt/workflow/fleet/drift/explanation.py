@@ -116,8 +116,7 @@ def explain_change(
         best = _best(tried, spread)
         more = best[0] - reached
         if taken and (
-            more < WORTH_NAMING * whole
-            or more < (12.0 + 4.0 * best[1].design.shape[1]) * spread
+            more < WORTH_NAMING * whole or more < (12.0 + 4.0 * best[1].design.shape[1]) * spread
         ):
             break
         taken.append(best[1])
@@ -139,9 +138,7 @@ def explain_change(
 def _best(tried: Sequence[tuple[float, Source]], spread: float) -> tuple[float, Source]:
     """Return the best source; the mass distribution, which contains others, as a last resort."""
     special = [each for each in tried if each[1].cause != "links"]
-    best = max(
-        special or tried, key=lambda each: each[0] - 4.0 * each[1].design.shape[1] * spread
-    )
+    best = max(special or tried, key=lambda each: each[0] - 4.0 * each[1].design.shape[1] * spread)
     general = [each for each in tried if each[1].cause == "links"]
     return general[0] if general and best[0] < SPECIAL * general[0][0] else best
 
@@ -199,7 +196,9 @@ def _change(
         text = f"{source.title} of {columns.joint_names[source.joint]}"
     if source.cause == "gain" and source.joint is not None:
         estimate, unit = 100.0 * float(found[0]), "%"
-        error = 100.0 * float(np.sqrt(covariance[columns.gains, columns.gains].diagonal()[source.joint]))
+        error = 100.0 * float(
+            np.sqrt(covariance[columns.gains, columns.gains].diagonal()[source.joint])
+        )
         text += f" {estimate:+.2g} %"
     elif source.cause == "friction" and source.joint is not None:
         estimate, error = _share(directions, source, x, covariance, beta, grams)

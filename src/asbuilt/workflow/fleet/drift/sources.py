@@ -56,14 +56,14 @@ def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
             for cause, places in groups.items()
             if places
         ]
-    found += [
-        Source("gain", k, _units(columns.size, [columns.gains.start + k])) for k in range(n)
-    ]
+    found += [Source("gain", k, _units(columns.size, [columns.gains.start + k])) for k in range(n)]
     K = np.zeros((columns.size, 10))
     K[: base.n_base] = base.regrouping[:, 10 * (n - 1) : 10 * n]
     found += [Source("payload", None, K[:, 6:] * PAYLOAD_SIZE[6:])]
     found += [Source("payload", None, K * PAYLOAD_SIZE)]
-    found.append(Source("mounting", None, _units(columns.size, [columns.size - 2, columns.size - 1])))
+    found.append(
+        Source("mounting", None, _units(columns.size, [columns.size - 2, columns.size - 1]))
+    )
     links = [i for i, column in enumerate(base.columns) if column < 10 * n]
     found.append(Source("links", None, _units(columns.size, links)))
     return tuple(found)

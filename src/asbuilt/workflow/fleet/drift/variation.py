@@ -139,9 +139,7 @@ def estimate_variation(histories: Sequence[History], *, cut: bool = True) -> Var
         if len(segments) == 1 and len(segments[0][1]) == each.n_days
     ]
     null = _null_distribution(quiet, V, degrees)
-    return Variation(
-        V, degrees, inflations * (1.0 + rho) / (1.0 - rho), rho, coefficients, null
-    )
+    return Variation(V, degrees, inflations * (1.0 + rho) / (1.0 - rho), rho, coefficients, null)
 
 
 def _null_distribution(
@@ -165,9 +163,7 @@ def _null_distribution(
     null = NullDistribution.fitted(pooled, len(V), degrees, len(shuffled))
     if len(shuffled) < FEWEST_SHUFFLED:
         return null
-    p = [
-        scan_probability(float(null.exceeded(each.max())), d, len(V)) for each, d in shuffled
-    ]
+    p = [scan_probability(float(null.exceeded(each.max())), d, len(V)) for each, d in shuffled]
     low = float(np.quantile(p, LEVEL))
     power = min(1.0, np.log(LEVEL) / np.log(max(low, 1e-12)))
     return replace(null, power=power)
