@@ -10,7 +10,7 @@ from typing import Literal
 
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure, Finding, ranked
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.errors.uncertainty import block_uncertainty, textbook_uncertainty
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
 from asbuilt.identification.result.as_built_parameters import mass_findings
@@ -20,6 +20,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.workflow.fleet.ledger.entry import Entry, joined_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.siblings import (
+    SIBLINGS,
     SiblingPrior,
     estimate_with_siblings,
     sibling_prior,
@@ -166,7 +167,11 @@ def identify_entries(
         information,
         estimate,
         rate=first.rate,
-        uncertainty=block_uncertainty(estimate.information or information, estimate),
+        uncertainty=(
+            textbook_uncertainty(information, estimate)
+            if estimate.method == SIBLINGS
+            else block_uncertainty(estimate.information or information, estimate)
+        ),
         provenance=(
             f"{len(entries)} logs of {first.robot_id} from {first.date:%Y-%m-%d} to"
             f" {last.date:%Y-%m-%d}, kept as information in a ledger",

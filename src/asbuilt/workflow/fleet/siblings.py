@@ -9,6 +9,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.uncertainty import block_uncertainty
@@ -22,8 +24,9 @@ from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.workflow.fleet.ledger.entry import Entry, joined_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
-from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 
+SIBLINGS = "siblings"
+"""Name of the method of the estimate."""
 FEWEST = 4
 """Siblings without which there is no spread."""
 UNLIKE = 0.01
@@ -93,11 +96,11 @@ def sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry]) -> Si
             f"{robot_id} has {len(found)} siblings in the ledger; a prior needs {FEWEST}",
             cure=Cure("identify it without a prior, or add logs of its siblings"),
         )
-    return prior_of(settings, found)
+    return prior_of(settings.model, settings.base, found)
 
 
 def prior_of(
-    settings: TypeSettings, robots: dict[str, SquareRootInformation]
+    model: RobotModel, base: BaseParameters, robots: dict[str, SquareRootInformation]
 ) -> SiblingPrior:
     """Return mean and spread of robots of a type.
 
@@ -107,10 +110,10 @@ def prior_of(
     `p / (p + m)` for m robots (Ledoit & Wolf, J. Multivariate Analysis 88, 2004, with a fixed
     intensity), not negative.
     """
-    toward = np.nan_to_num(design_values(settings.model, settings.base), nan=0.0)
+    toward = np.nan_to_num(design_values(model, base), nan=0.0)
     parts = list(robots.values())
     together = parts[0].merge(*parts[1:])
-    data = EstimationData(settings.model, together, None, toward, "toward_prior")
+    data = EstimationData(model, together, None, toward, "toward_prior")
     mu = methods.find("consistent").estimate(data).beta
     fits = [fit_least_squares(each, weights="joint", prior=mu) for each in parts]
     p, m = len(mu), len(fits)
@@ -129,9 +132,7 @@ def prior_of(
     weights = np.median([fit.weights for fit in fits], axis=0)
     plain = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
     squares = [_distance(plain, each)[0] for each in parts]
-    return SiblingPrior(
-        tuple(robots), mu, T, weights, effect, max(1.0, float(np.mean(squares)))
-    )
+    return SiblingPrior(tuple(robots), mu, T, weights, effect, max(1.0, float(np.mean(squares))))
 
 
 def estimate_with_siblings(
@@ -160,18 +161,15 @@ def estimate_with_siblings(
     start = fit_least_squares(information, weights=prior.weights, prior=prior.mean)
     root = np.linalg.inv(np.linalg.cholesky(prior.covariance))
     rows = information.stacked(prior.weights) / np.sqrt(prior.design_effect)
-    factor = triangular_factor(
-        np.vstack([rows, np.column_stack([root, root @ prior.mean])])
-    )
+    factor = triangular_factor(np.vstack([rows, np.column_stack([root, root @ prior.mean])]))
     solution = solve_factor(
         factor, information.n_samples * information.n_joints + len(root), prior.mean
     )
     note = f"Mean and spread of {m} siblings are the prior (p {p_value:.2g} that it fits)."
     estimate = start.renewed(
-        "siblings",
+        SIBLINGS,
         information,
         solution,
-        inverse_root=np.sqrt(prior.design_effect) * solution.inverse_root,
         notes=(note,),
     )
     return estimate, ()
@@ -181,15 +179,14 @@ def _distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[
     """Return the mean squared distance from the mean, and the number of directions.
 
     In prior units, with `L L^T = T` and `L^T A L = U diag(l) U^T`, the data estimate a direction
-    with variance 1 / l; beside the prior it is `N(0, 1 + 1 / l)`. Directions with l > 1 count, at
-    most as many as there are siblings.
+    with variance 1 / l; beside the prior it is `N(0, 1 + 1 / l)`. Directions with l > 1 count.
     """
     R = information.stacked(prior.weights) / np.sqrt(prior.design_effect)
     L = np.linalg.cholesky(prior.covariance)
     A = R[:-1, :-1] @ L
     error = R[:-1, -1] - R[:-1, :-1] @ prior.mean
     values, axes = np.linalg.eigh(A.T @ A)
-    kept = np.flatnonzero(values > max(1.0, SMALLEST * values[-1]))[-max(prior.degrees, 1) :]
+    kept = np.flatnonzero(values > max(1.0, SMALLEST * values[-1]))
     if not kept.size:
         return 0.0, 0
     found = axes[:, kept].T @ (A.T @ error) / values[kept]
