@@ -24,8 +24,8 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.estimators.methods import methods
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,

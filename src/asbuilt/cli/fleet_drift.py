@@ -68,9 +68,9 @@ def report(
     first = None if since is None else parse_date(since)
     with progress_bar() as tell:
         found = fleet_drift(ledger, since=first, options=options, progress=tell)
-    files = {"fleet.html": str(write_fleet_report(out / "fleet.html", found))}
+    files = {"report": write_fleet_report(out / "fleet.html", found)}
     answer(
         as_json,
-        lambda: found.as_document() | {"files": files},
+        lambda: found.as_document() | {"files": {"report": str(files["report"])}},
         lambda: drift_text(found, finding_text, full=full) + listed_files(files),
     )

@@ -50,9 +50,7 @@ def member(rng: np.random.Generator) -> np.ndarray:
     return chi
 
 
-def information(
-    chi: np.ndarray, rng: np.random.Generator, seconds: float
-) -> SquareRootInformation:
+def information(chi: np.ndarray, rng: np.random.Generator, seconds: float) -> SquareRootInformation:
     """Information of a log of a robot."""
     motion = random_fourier(MODEL, rng=int(rng.integers(1000)), duration=seconds).sample(50.0)
     tau = observation_matrix(MODEL, motion.q, motion.qd, motion.qdd, drive=DRIVE) @ chi

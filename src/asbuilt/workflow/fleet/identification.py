@@ -10,7 +10,7 @@ from typing import Literal
 
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure, Finding, ranked
-from asbuilt.identification.errors.uncertainty import block_uncertainty, textbook_uncertainty
+from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
 from asbuilt.identification.result.as_built_parameters import mass_findings
@@ -23,6 +23,7 @@ from asbuilt.workflow.fleet.siblings import (
     SIBLINGS,
     SiblingPrior,
     estimate_with_siblings,
+    posterior_uncertainty,
     sibling_prior,
 )
 from asbuilt.workflow.options import StudyOptions
@@ -156,7 +157,7 @@ def identify_entries(
     information = joined_entries(entries, MOST_BLOCKS)
     design = design_values(settings.model, settings.base)
     data = EstimationData(settings.model, information, None, design, options.undetermined)
-    estimate, said = None, ()
+    estimate, said = None, tuple[Finding, ...]()
     if prior is not None:
         estimate, said = estimate_with_siblings(entries[0].robot_id, information, prior)
     if estimate is None:
@@ -168,8 +169,8 @@ def identify_entries(
         estimate,
         rate=first.rate,
         uncertainty=(
-            textbook_uncertainty(information, estimate)
-            if estimate.method == SIBLINGS
+            posterior_uncertainty(information, estimate, prior)
+            if prior is not None and estimate.method == SIBLINGS
             else block_uncertainty(estimate.information or information, estimate)
         ),
         provenance=(

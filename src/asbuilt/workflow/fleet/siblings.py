@@ -13,7 +13,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.errors.error_basis import ErrorBasis
+from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
@@ -138,7 +139,7 @@ def prior_of(
 def estimate_with_siblings(
     robot_id: str, information: SquareRootInformation, prior: SiblingPrior
 ) -> tuple[Estimate | None, tuple[Finding, ...]]:
-    """Return the estimate with the prior, or None and a finding if the robot is unlike its siblings.
+    """Return the estimate with the prior, or None and a finding if the robot is unlike them.
 
     The estimate minimises `sum_k w_k^2 |tau_k - W_k beta|^2 / d + (beta - mu)^T T^-1 (beta - mu)`
     with the design effect d: the posterior mean of normal errors (Efron & Morris, J. Am. Stat.
@@ -173,6 +174,17 @@ def estimate_with_siblings(
         notes=(note,),
     )
     return estimate, ()
+
+
+def posterior_uncertainty(
+    information: SquareRootInformation, estimate: Estimate, prior: SiblingPrior
+) -> Uncertainty:
+    """Return the posterior covariance of an estimate with a prior of siblings."""
+    return Uncertainty(
+        estimate.covariance,
+        information.n_samples / prior.design_effect,
+        ErrorBasis(kind=SIBLINGS, asked=SIBLINGS, n_blocks=information.n_blocks),
+    )
 
 
 def _distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[float, int]:

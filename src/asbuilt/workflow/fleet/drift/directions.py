@@ -56,7 +56,7 @@ class Directions:
     @property
     def count(self) -> int:
         """Number of directions r."""
-        return self.basis.shape[1]
+        return int(self.basis.shape[1])
 
     def reference(self, days: Sequence[Day]) -> Array:
         """Return the base parameters of a robot by all its days."""

@@ -323,7 +323,7 @@ def conclude_drift(
 ) -> FleetDrift:
     """Decide which robots changed, at the false discovery rate over all of them."""
     tested = [each for each in robots if each.p_value is not None]
-    rates = benjamini_hochberg([float(each.p_value or 0.0) for each in tested]) if tested else []
+    rates = benjamini_hochberg([float(each.p_value or 0.0) for each in tested])
     rate_of = {each.id: float(rate) for each, rate in zip(tested, rates, strict=True)}
     level = options.false_discovery_rate
     decided = [_decided(each, rate_of.get(each.id), level) for each in robots]

@@ -248,5 +248,5 @@ def _share(
     before = beta[places]
     energy = max(float(before @ G @ before), 1e-300)
     row = before @ G / energy
-    error = float(np.sqrt(max(row @ covariance[np.ix_(places, places)] @ row, 0.0)))
+    error = float(np.sqrt(max(float(row @ covariance[np.ix_(places, places)] @ row), 0.0)))
     return 100.0 * float(row @ x[places]), 100.0 * error

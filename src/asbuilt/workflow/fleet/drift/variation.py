@@ -209,7 +209,7 @@ def _about_mean(J: Array, s: Array, V: Array) -> tuple[Array, Array]:
     A = np.eye(len(V)) + J @ V
     P, b = np.linalg.solve(A, J), np.linalg.solve(A, s[..., None])[..., 0]
     mean = np.linalg.pinv(P.sum(axis=0), hermitian=True) @ b.sum(axis=0)
-    return P, b - P @ mean
+    return np.asarray(P), np.asarray(b - P @ mean)
 
 
 def _scored(segments: Sequence[tuple[Array, Array]], V: Array) -> Array:
