@@ -59,6 +59,9 @@ from .workflow.calibration.torques import find_gains as find_gains
 from .workflow.calibration.torques import identify_channels as identify_channels
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .workflow.fleet.drift.drift import FleetDrift as FleetDrift
+from .workflow.fleet.drift.drift import FleetDriftOptions as FleetDriftOptions
+from .workflow.fleet.drift.drift import fleet_drift as fleet_drift
 from .workflow.fleet.identification import FleetIdentification as FleetIdentification
 from .workflow.fleet.identification import fleet_identify as fleet_identify
 from .workflow.fleet.ledger.ledger import Ledger as Ledger
@@ -92,6 +95,7 @@ from .writers.motion_files import write_motion as write_motion
 from .writers.pictures.view import view_robot as view_robot
 from .writers.programs.program import make_program as make_program
 from .writers.recording_files import write_recording as write_recording
+from .writers.reports.fleet_report import write_fleet_report as write_fleet_report
 from .writers.reports.report import write_report as write_report
 from .writers.reports.study_files import write_result as write_result
 from .writers.reports.study_files import write_study as write_study

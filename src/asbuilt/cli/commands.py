@@ -245,6 +245,18 @@ SUBCOMMANDS: dict[str, dict[str, Entry]] = {
             ("ledger --id arm-7", "ledger --id arm-7 --since 2026-03-01 -o study"),
             "fleet_identify",
         ),
+        "drift": Entry(
+            "fleet_drift",
+            "Find the robots that changed: when, what and how large.",
+            ("ledger", "ledger --since 2026-03-01 --json"),
+            "fleet_drift",
+        ),
+        "report": Entry(
+            "fleet_drift",
+            "Write a page of each robot's history, those that changed first.",
+            ("ledger --out page", "ledger --since 2026-03-01 -o page"),
+            "write_fleet_report",
+        ),
     },
 }
 """The commands of commands; `EVERY_COMMAND` has them as `fleet add`."""

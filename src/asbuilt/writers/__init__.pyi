@@ -11,6 +11,7 @@ from .programs.format import program_format as program_format
 from .programs.program import make_program as make_program
 from .recording_files import write_recording as write_recording
 from .recording_files import write_simulation as write_simulation
+from .reports.fleet_report import write_fleet_report as write_fleet_report
 from .reports.report import report_html as report_html
 from .reports.report import write_report as write_report
 from .reports.study_files import write_result as write_result
