@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T]):
-    """Hold objects by name; every module of `package` may `register` some when it is imported.
+    """Hold objects by name; every module of `package`, its folders included, may `register` some when it is imported.
 
     Modules of other distributions take part through the entry point group `group`: each entry
     names a module that registers its objects. All are imported on first use of the registry, in
@@ -25,7 +25,7 @@ class Registry(Mapping[str, T]):
     what
         What one object is, for messages, such as `"drive term"`.
     package
-        Package whose modules register their objects.
+        Package whose modules and sub-packages register their objects.
     group
         Entry point group, such as `"asbuilt.drive_terms"`.
     """
@@ -71,7 +71,8 @@ class Registry(Mapping[str, T]):
 
         self._complete = True
         home = import_module(self.package)
-        for module in sorted(each.name for each in pkgutil.iter_modules(home.__path__)):
-            import_module(f"{self.package}.{module}")
+        prefix = f"{self.package}."
+        for module in sorted(each.name for each in pkgutil.walk_packages(home.__path__, prefix)):
+            import_module(module)
         for entry in sorted(entry_points(group=self.group), key=lambda each: each.name):
             entry.load()

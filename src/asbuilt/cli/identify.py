@@ -63,7 +63,7 @@ def identify(
     from asbuilt.writers.reports.study_files import study_document, study_text, write_study
 
     distinct_logs(log, validate, payload)
-    model, swept = described_robot(robot), filtering.cutoff == "auto"
+    model, swept = described_robot(robot, fixed_base=reading.fixed_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
     with progress_bar() as report:
@@ -132,7 +132,9 @@ def validate(
                 "--out writes the predictions of a result; for a robot as described there is only"
                 " the table"
             )
-        model, (logged,) = robot_and_recordings(described_robot(result), reading, log)
+        model, (logged,) = robot_and_recordings(
+            described_robot(result, fixed_base=reading.fixed_base), reading, log
+        )
         errors = validate_robot(model, logged, options=options)
         answer(
             as_json,

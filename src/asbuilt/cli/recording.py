@@ -64,7 +64,9 @@ def check(
     from asbuilt.writers.tables.tabular import check_document
 
     distinct_logs(log)
-    model, (recordings,) = robot_and_recordings(described_robot(robot), reading, log)
+    model, (recordings,) = robot_and_recordings(
+        described_robot(robot, fixed_base=reading.fixed_base), reading, log
+    )
     checks = [check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None
@@ -119,7 +121,7 @@ def gains(
     from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 
     distinct_logs(log, loaded)
-    model = described_robot(robot)
+    model = described_robot(robot, fixed_base=reading.fixed_base)
     currents = replace(reading, torque_source=reading.torque_source or "current")
     options = GainOptions(
         com=number_list("--com", com, 3) or None,
@@ -188,7 +190,7 @@ def channels(
     from asbuilt.workflow.options import ChannelOptions
     from asbuilt.writers.tables.drive_tables import channels_document, channels_text
 
-    model = described_robot(robot)
+    model = described_robot(robot, fixed_base=reading.fixed_base)
     on_links = replace(reading, torque_source=reading.torque_source or "sensor")
     on_motors = replace(
         reading,

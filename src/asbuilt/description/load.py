@@ -14,7 +14,7 @@ from asbuilt.errors import DescriptionError
 from asbuilt.untrusted import read_bytes, reason
 
 
-def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
+def load_robot(name_or_path: str | os.PathLike[str], *, fixed_base: bool = False) -> RobotModel:
     """Load a bundled robot by name, or a description by path.
 
     Parameters
@@ -23,6 +23,8 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
         Name of a bundled robot, or of one of the package `robot_descriptions` such as
         `panda_description`, or a file: TOML, URDF, MJCF, SDF, xacro, a DH and mass table (CSV), or
         a format that another distribution registers. XML is recognised by content.
+    fixed_base
+        Whether a free joint is held at its pose, as of a robot hung in the air.
 
     Returns
     -------
@@ -50,7 +52,7 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
         shown = text if len(text) < 200 else f"{text[:60]}..."
         raise DescriptionError(f"{shown} cannot be read: {reason(error)}") from None
     if exists and not is_folder:
-        return _read(path)
+        return _read(path, fixed_base)
     suffixes, bundled = ", ".join(known_suffixes()), ", ".join(robot_names())
     if is_folder:
         raise DescriptionError(
@@ -69,7 +71,7 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
     )
 
 
-def _read(path: Path) -> RobotModel:
+def _read(path: Path, fixed_base: bool) -> RobotModel:
     content = read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION)
     found = format_of(path, content)
     if found is None and outermost_tag(content):
@@ -80,4 +82,5 @@ def _read(path: Path) -> RobotModel:
             f"{path} is not a robot description in a known format; formats are {titles}",
             file=str(path),
         )
-    return found.read(path)
+    read = found.read_fixed if fixed_base and found.read_fixed is not None else found.read
+    return read(path)

@@ -71,7 +71,8 @@ class DriveValues:
     All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint
     (rad per m where it slides), and takes them to the motor's. `terms` are further terms of the
     drive by key, each with its parameters by symbol and its nonlinear parameters by name:
-    `{"stribeck": {"Fs": 0.3, "velocity": 0.05, "power": 2.0}}`.
+    `{"stribeck": {"Fs": 0.3, "velocity": 0.05, "power": 2.0}}`. `kp` [N m/rad] and `kd`
+    [N m s/rad] are the gains of a position servo, whose torque limit is that of the joint.
     """
 
     armature: float | None = None
@@ -79,6 +80,8 @@ class DriveValues:
     coulomb: float | None = None
     offset: float | None = None
     gear_ratio: float | None = None
+    kp: float | None = None
+    kd: float | None = None
     terms: Mapping[str, Mapping[str, float]] = field(default_factory=dict, hash=False)
 
 

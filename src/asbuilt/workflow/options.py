@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 else:
     SignalChain = Any
 
+LONGEST_DELAY = 1.0
+"""Longest delay [s] that is taken."""
 BLOCKS = "blocks:5s:3"
 """The usual rule of what to hold out."""
 
@@ -29,6 +31,15 @@ def _drive(text: str) -> DriveSet | str:
 
 def _method(text: str) -> str:
     return methods.find(text).name
+
+
+def _delay(text: str) -> float | Literal["auto"]:
+    if text.strip().lower() == "auto":
+        return "auto"
+    value = float(text)
+    if not abs(value) <= LONGEST_DELAY:
+        raise ValueError(text)
+    return value
 
 
 def _check_rule(rule: str | None) -> None:
@@ -75,6 +86,11 @@ class StudyOptions:
         Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
     block_seconds
         Length of the time blocks [s]; None: 5 s, less in short recordings.
+    delay
+        Time [s] by which the torque of a position servo follows its command; "auto" or None:
+        identified.
+    same_servos
+        Whether all unknown stiffnesses of position servos are one.
     checked
         Refuse recordings in which `check_recording` finds errors.
     threads
@@ -120,6 +136,16 @@ class StudyOptions:
         choices=ERROR_KINDS,
     )
     block_seconds: float | None = None
+    delay: float | Literal["auto"] | None = _option(
+        None,
+        "auto|SECONDS",
+        "time by which the torque of a position servo follows its command; auto: identified",
+        parse=_delay,
+    )
+    same_servos: bool = field(
+        default=False,
+        metadata={"help": "position servos are alike: one unknown stiffness for all joints"},
+    )
     checked: bool = field(default=True, metadata=CHECKED)
     threads: int | None = None
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
+from asbuilt.experiment.command.saturation import outside_saturation
 from asbuilt.experiment.logs.long_recordings import head_of, prepare_logged
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
@@ -191,6 +192,8 @@ def _samples(item: Recorded, chain: SignalChain, delays: Delays | None = None) -
     if isinstance(item, Samples):
         return item
     if delays is None or not delays.recordings:
-        return prepare_logged(item, chain)
-    own = digest(head_of(item))
-    return delays.applied(prepare_logged(item, delays.chain_of(own)), own)
+        samples = prepare_logged(item, chain)
+    else:
+        own = digest(head_of(item))
+        samples = delays.applied(prepare_logged(item, delays.chain_of(own)), own)
+    return outside_saturation(samples, item) if isinstance(item, Recording) else samples

@@ -30,6 +30,7 @@ from asbuilt.identification.result.determination import Determination, determina
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult, stored_document
 from asbuilt.identification.result.summary import Summary, summarise
+from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
 from asbuilt.validation.generalisation.generalisation import (
@@ -42,6 +43,7 @@ from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.delays import delay_findings
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
+from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo, without_unexplained
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,6 +181,7 @@ def identify(
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    trained, others, servo, options = settle_servo(model, trained, others, options)
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
@@ -198,7 +201,7 @@ def identify(
         progress=report,
     )
     report("identify", 0.0)
-    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, servo, report)
 
 
 def _concluded(
@@ -206,9 +209,11 @@ def _concluded(
     prepared: Prepared,
     options: StudyOptions,
     cutoffs: CutoffSweep | None,
+    servo: ServoEstimate | None,
     report: Progress,
 ) -> Study:
     """Identify from prepared samples and say what is to be said."""
+    prepared = without_unexplained(prepared, servo)
     training, held = prepared.training, (*prepared.held_out, *prepared.validation)
     choice = settle_drive(model, training, options.drive)
     mounting = (
@@ -248,7 +253,9 @@ def _concluded(
         holdout=prepared.holdout,
         digests=prepared.digests,
         delay=prepared.delay,
-        notes=_notes(mounting, cutoffs),
+        notes=(*_notes(mounting, cutoffs), *servo_notes(model, servo)),
+        servo=None if servo is None else servo.servo,
+        servo_errors=None if servo is None else servo.errors,
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -270,6 +277,7 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *servo_findings(model, servo, choice.drive),
         *mass_findings(result),
     )
     report("compare", 1.0)

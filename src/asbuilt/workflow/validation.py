@@ -20,6 +20,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import Validation, validate_description, validate_samples
 from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import digest, prepare
+from asbuilt.workflow.servo import with_servo
 from asbuilt.workflow.study import Study
 
 
@@ -108,6 +109,7 @@ def _prepared(
     result: IdentificationResult, recording: Recorded, options: ValidationOptions
 ) -> Samples:
     """Return the samples of a recording; those held out, if the result was identified from it."""
+    recording = with_servo(recording, result.servo)
     trained = not isinstance(recording, Samples) and digest(head_of(recording)) in result.digests
     prepared = prepare(
         result.model,

@@ -182,11 +182,11 @@ def delay_of(text: str) -> float | tuple[float, ...] | str | None:
     return values[0] if len(values) == 1 else values
 
 
-def described_robot(robot: str) -> RobotModel:
-    """Return the robot that a name or a path describes."""
+def described_robot(robot: str, *, fixed_base: bool = False) -> RobotModel:
+    """Return the robot that a name or a path describes, its free joint held if `fixed_base`."""
     from asbuilt.description.load import load_robot
 
-    return load_robot(robot)
+    return load_robot(robot, fixed_base=fixed_base)
 
 
 def robot_as_built(robot: str) -> RobotModel:
@@ -243,7 +243,11 @@ def recordings_of(
     """Return the recordings of an identified robot, none if no logs are given."""
     refuse_idle(
         "the robot of a result is taken as it was identified",
-        {"--lock": reading.lock is not None, "--gravity": reading.gravity is not None},
+        {
+            "--lock": reading.lock is not None,
+            "--gravity": reading.gravity is not None,
+            "--fixed-base": reading.fixed_base,
+        },
     )
     from asbuilt.experiment.logs.recordings import as_recordings
 

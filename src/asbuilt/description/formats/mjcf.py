@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -38,6 +39,7 @@ from asbuilt.description.rotation import (
     straightened,
 )
 from asbuilt.errors import DescriptionError, MissingExtraError
+from asbuilt.findings import Cure
 
 IRRELEVANT = (
     "asset",
@@ -59,17 +61,18 @@ SHAPELESS = ("mesh", "hfield", "sdf")
 FREE, BALL, SLIDE, HINGE = range(4)
 
 
-def read_mjcf(path_or_text: str | Path) -> RobotModel:
+def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotModel:
     """Read a robot from an MJCF file or from the XML text itself; needs the extra `sim` (MuJoCo).
 
     MuJoCo compiles the file, so defaults, classes and orientations mean what they mean there;
     meshes and textures are taken out first. The frame of a link is the MuJoCo body frame. Bodies
     without joint are merged as fixed; several joints on one body become links in a row, all
     massless but the last. Armature, damping and frictionloss become drive values where they are not
-    zero, named sites become frames. A body whose inertia could only come from a mesh is marked as
+    zero, as do the gains of position actuators; named sites become frames. A body whose inertia could only come from a mesh is marked as
     unknown, with a note.
 
-    Raises `DescriptionError` for free and ball joints, included files and whatever MuJoCo refuses
+    `fixed_base` holds free joints at the pose of their body. Raises `DescriptionError` for other
+    free joints, for ball joints, included files and whatever MuJoCo refuses
     (format: MuJoCo XML reference).
     """
     content, source = described_text(path_or_text)
@@ -83,9 +86,11 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
     except ImportError:
         raise MissingExtraError("mujoco", "sim", "reading MJCF") from None
     unknown = _without_shapes(root, source)
+    held = _without_free_joints(root) if fixed_base else []
     compiled, warnings = _compiled(mujoco, root, source)
     tree = _Tree(mujoco, compiled, source, unknown)
     tree.notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
+    tree.notes.extend(f"the free joint of {body!r} is held at its pose" for body in held)
     for body in range(1, compiled.nbody):
         tree.add(body)
     if not tree.joints:
@@ -207,6 +212,16 @@ def _without_shapes(root: Element, source: str) -> set[str]:
     return unknown
 
 
+def _without_free_joints(root: Element) -> list[str]:
+    """Take out the free joints, and return the names of their bodies."""
+    held = []
+    for body in root.iter("body"):
+        for joint in [*body.findall("freejoint"), *body.findall("joint[@type='free']")]:
+            body.remove(joint)
+            held.append(body.get("name") or "a body")
+    return held
+
+
 def _inside(body: Element, childclass: str | None) -> Iterator[tuple[Element, Element, str | None]]:
     """Yield holder, element and class in force for what belongs to a body.
 
@@ -301,8 +316,16 @@ class _Tree:
             what = "free" if kind == FREE else "ball"
             raise DescriptionError(
                 f"{self.source}: joint {name!r} of body {body!r} is a {what} joint; asbuilt"
-                " describes robots on a fixed root with hinge and slide joints: remove it, or"
-                " replace it by hinges"
+                " describes robots on a fixed root with hinge and slide joints",
+                cure=(
+                    Cure(
+                        "hold it at its pose if the robot hangs in the air or stands clamped, or"
+                        " remove it",
+                        settings={"fixed_base": True},
+                    )
+                    if kind == FREE
+                    else Cure("remove it, or replace it by hinges")
+                ),
             )
         onto, anchor = rotation_onto(m.jnt_axis[index]), np.array(m.jnt_pos[index])
         at_rest = float(m.qpos0[m.jnt_qposadr[index]])
@@ -318,7 +341,7 @@ class _Tree:
             before=composed(pose, placement(onto, anchor), back),
             after=composed(placement(onto.T), placement(translation=-anchor)),
             limits=self.limits(index),
-            drive=self.drive(int(m.jnt_dofadr[index])),
+            drive=self.drive(int(m.jnt_dofadr[index]), index),
         )
 
     def kind(self, index: int) -> JointKind:
@@ -351,7 +374,7 @@ class _Tree:
                 )
         return JointLimits(lower=lower, upper=upper, torque=torque)
 
-    def drive(self, coordinate: int) -> DriveValues:
+    def drive(self, coordinate: int, index: int) -> DriveValues:
         values = (
             float(np.ravel(array[coordinate])[0])
             for array in (
@@ -361,7 +384,25 @@ class _Tree:
             )
         )
         armature, viscous, coulomb = (value if value != 0.0 else None for value in values)
-        return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb)
+        kp, kd = self.servo(index)
+        return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb, kp=kp, kd=kd)
+
+    def servo(self, index: int) -> tuple[float | None, float | None]:
+        """Return the gains of the position actuator of a joint, on its side of the gear."""
+        m, kinds = self.model, self.mujoco
+        for actuator in range(m.nu):
+            gain, bias = m.actuator_gainprm[actuator], m.actuator_biasprm[actuator]
+            if (
+                m.actuator_trntype[actuator] == kinds.mjtTrn.mjTRN_JOINT
+                and m.actuator_trnid[actuator, 0] == index
+                and m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
+                and m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
+                and gain[0] > 0.0
+                and bias[1] == -gain[0]
+            ):
+                gear = float(m.actuator_gear[actuator, 0])
+                return float(gain[0]) * gear**2, float(-bias[2]) * gear**2
+        return None, None
 
     def placed(self, position: Array, quaternion: Array, what: str) -> Array:
         R = rotation_from_quaternion(quaternion)
@@ -432,6 +473,10 @@ class _Tree:
 FORMATS.register(
     "mjcf",
     DescriptionFormat(
-        "MJCF", (".mjcf", ".xml"), read_mjcf, lambda content: outermost_tag(content) == "mujoco"
+        "MJCF",
+        (".mjcf", ".xml"),
+        read_mjcf,
+        lambda content: outermost_tag(content) == "mujoco",
+        read_fixed=partial(read_mjcf, fixed_base=True),
     ),
 )

@@ -22,6 +22,9 @@ class DescriptionFormat:
         Suffixes of its files, in lower case with the dot.
     read
         Function that reads a file; raises `DescriptionError` if it makes no sense.
+    read_fixed
+        Function that reads a file with its free joint held at its pose; None where the format has
+        no free joints.
     recognises
         Function that recognises the content of a file, for suffixes that several formats have;
         None where the suffix decides.
@@ -31,6 +34,7 @@ class DescriptionFormat:
     suffixes: tuple[str, ...]
     read: Callable[[Path], RobotModel]
     recognises: Callable[[bytes], bool] | None = None
+    read_fixed: Callable[[Path], RobotModel] | None = None
 
 
 FORMATS: Registry[DescriptionFormat] = Registry(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -40,6 +41,7 @@ from asbuilt.description.rotation import (
     straightened,
 )
 from asbuilt.errors import DescriptionError
+from asbuilt.findings import Cure
 
 MOVING: dict[str, JointKind] = {
     "revolute": "revolute",
@@ -77,7 +79,9 @@ class _Tree:
     frames: list[Frame] = field(default_factory=list)
 
 
-def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> RobotModel:
+def read_urdf(
+    path_or_text: str | Path | bytes, *, straighten: bool = True, fixed_base: bool = False
+) -> RobotModel:
     """Read a robot from a URDF file or from the XML text itself.
 
     The frame of a moving link is the URDF link frame; `before` ends with a rotation of z onto the
@@ -86,7 +90,7 @@ def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> R
     what is fixed to the root link does not move and its inertia is dropped. `<dynamics>` damping
     and friction become viscous and Coulomb values. Angles within 1e-5 rad of a right angle become
     exact, unless `straighten` is False, which reads them to the letter as other programs do. Meshes
-    are neither needed nor looked for.
+    are neither needed nor looked for. `fixed_base` holds floating joints at their origin.
 
     Raises `DescriptionError` naming the element, what was given and what would do (format:
     http://wiki.ros.org/urdf/XML).
@@ -98,11 +102,12 @@ def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> R
             f"{source}: this is a MuJoCo model (MJCF), not a URDF; load it with load_robot or"
             " read_mjcf"
         )
+    held = _without_floating_joints(root) if fixed_base else []
     if root.tag != "robot":
         raise DescriptionError(
             f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>"
         )
-    notes: list[str] = []
+    notes = [f"the floating joint {name!r} is held at its origin" for name in held]
     bodies = _bodies(root, source, notes, straighten)
     connections = _connections(root, bodies, source, notes, straighten)
     top = _root_link(bodies, connections, source)
@@ -215,8 +220,16 @@ def _connections(
         if kind in ("floating", "planar"):
             raise DescriptionError(
                 f"{place}: type is {kind!r}; asbuilt describes robots whose root link stands still"
-                " and whose joints are revolute, continuous, prismatic or fixed: replace it by"
-                ' type="fixed" or by a chain of those'
+                " and whose joints are revolute, continuous, prismatic or fixed",
+                cure=(
+                    Cure(
+                        "hold it at its pose if the robot hangs in the air or stands clamped, or"
+                        ' replace it by type="fixed"',
+                        settings={"fixed_base": True},
+                    )
+                    if kind == "floating"
+                    else Cure('replace it by type="fixed" or by a chain of those')
+                ),
             )
         if kind not in (*MOVING, "fixed"):
             raise DescriptionError(
@@ -411,6 +424,14 @@ def _limits(connection: _Connection, notes: list[str]) -> JointLimits:
     )
 
 
+def _without_floating_joints(root: Element) -> list[str]:
+    """Make floating joints fixed, and return their names."""
+    floating = [each for each in root.findall("joint") if each.get("type") == "floating"]
+    for each in floating:
+        each.set("type", "fixed")
+    return [each.get("name", "") for each in floating]
+
+
 def _drive(connection: _Connection) -> DriveValues:
     element, place = connection.element.find("dynamics"), connection.place
     if element is None:
@@ -426,6 +447,10 @@ def _drive(connection: _Connection) -> DriveValues:
 FORMATS.register(
     "urdf",
     DescriptionFormat(
-        "URDF", (".urdf", ".xml"), read_urdf, lambda content: outermost_tag(content) == "robot"
+        "URDF",
+        (".urdf", ".xml"),
+        read_urdf,
+        lambda content: outermost_tag(content) == "robot",
+        read_fixed=partial(read_urdf, fixed_base=True),
     ),
 )

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.codec import stored
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
+
+
+def _limits(values: Sequence[float | None]) -> tuple[float, ...]:
+    """Return stored torque limits, infinite where None is stored."""
+    return tuple(np.inf if each is None else float(each) for each in values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +51,7 @@ class PositionServo:
 
     kp: tuple[float, ...]
     kd: tuple[float, ...]
-    torque_limit: tuple[float, ...] = ()
+    torque_limit: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     delay: float | None = None
 
     def __post_init__(self) -> None:
@@ -84,3 +91,21 @@ class PositionServo:
         free = np.asarray(self.kp) * error - np.asarray(self.kd) * np.asarray(qd)
         limit = np.asarray(self.torque_limit)
         return np.asarray(np.clip(free, -limit, limit), dtype=np.float64)
+
+
+def described_servo(model: RobotModel) -> PositionServo | None:
+    """Return the position servo that a description states, NaN for joints without one.
+
+    None if it states none. Such gains are often settings of a simulator.
+    """
+    kp, kd = (
+        tuple(_known(getattr(joint.drive, name)) for joint in model.joints) for name in ("kp", "kd")
+    )
+    if not np.any(np.isfinite(kp)):
+        return None
+    limits = tuple(joint.limits.torque for joint in model.joints)
+    return PositionServo(kp=kp, kd=kd, torque_limit=limits)
+
+
+def _known(value: float | None) -> float:
+    return np.nan if value is None else value

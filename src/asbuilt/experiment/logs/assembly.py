@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.layout import Layout
 from asbuilt.experiment.logs.options import ReadingOptions
@@ -62,17 +64,20 @@ def build_recording(
         quantity: _stacked(table.columns, names, layout.scales)
         for quantity, names in layout.quantities.items()
     }
+    q, command = arrays.pop("position"), arrays.pop("command", None)
+    tau = arrays.pop("torque", None)
     return Recording(
         t=t,
-        q=arrays.pop("position"),
-        tau=arrays.pop("torque"),
+        q=q,
+        tau=np.zeros_like(q) if tau is None else tau,
         qd=arrays.pop("velocity", None),
         qdd=arrays.pop("acceleration", None),
         joint_names=layout.joint_names,
         source=table.source,
-        torque_source=layout.torque_source,
+        torque_source="command" if tau is None else layout.torque_source,
         notes=tuple(notes),
         extra=arrays,
+        command=command,
     )
 
 
@@ -103,6 +108,10 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         recording = recording.scaled(gain)
     if options.flip_torque:
         recording = recording.flipped()
+    if recording.torque_source == "command" and recording.command is not None:
+        servo = stated_servo(recording, sheet, options)
+        if servo is not None:
+            recording = driven_by_command(recording, servo)
     if sheet.windows:
         inside = sheet.in_windows(recording.t, float(recording.t[0]))
         kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
@@ -112,6 +121,45 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         )
         recording = replace(kept, notes=(*kept.notes, note))
     return recording
+
+
+def stated_servo(
+    recording: Recording, sheet: RecordingSheet, options: ReadingOptions
+) -> PositionServo | None:
+    """Return the servo that options and sheet state; None if the torque itself was commanded.
+
+    That is so where the sheet names torque columns, no command and no gains.
+    """
+    given = {
+        name: getattr(sheet if getattr(options, name) is None else options, name)
+        for name in ("kp", "kd", "torque_limit")
+    }
+    commanded = sheet.columns.command is not None or any(
+        each is not None for each in given.values()
+    )
+    if sheet.columns.torque is not None and not commanded:
+        return None
+    kp, kd, limit = (
+        _per_joint(recording, name, each, np.inf if name == "torque_limit" else np.nan)
+        for name, each in given.items()
+    )
+    return PositionServo(kp=kp, kd=kd, torque_limit=limit)
+
+
+def _per_joint(recording: Recording, name: str, given: object, unknown: float) -> tuple[float, ...]:
+    """Return one number per joint; "auto", NaN and None are `unknown`."""
+    listed = given if isinstance(given, list | tuple) else [given]
+    values = [unknown if each in (None, "auto") or each != each else float(each) for each in listed]
+    if len(values) not in (1, recording.n_joints):
+        raise RecordingError(
+            f"{recording.source}: {len(values)} values of {name} for {recording.n_joints} joints"
+            f" ({', '.join(recording.joint_names)})",
+            cure=Cure("give one value, or one per joint"),
+            file=recording.source,
+            value=len(values),
+            expected=recording.n_joints,
+        )
+    return tuple(values * recording.n_joints if len(values) == 1 else values)
 
 
 def clock_origin(t: Array) -> float:

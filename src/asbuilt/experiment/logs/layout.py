@@ -12,13 +12,19 @@ from asbuilt.experiment.logs.joint_matching import (
     match_joints,
     numbers_in,
 )
-from asbuilt.experiment.logs.roles import Role, recognise, unit_scale
+from asbuilt.experiment.logs.roles import Role, commanded, recognise, unit_scale
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.findings import Cure
 
-_QUANTITIES = ("position", "velocity", "acceleration", "torque")
-_SYMBOLS = {"q": "position", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
+_QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
+_SYMBOLS = {
+    "q": "position",
+    "qd": "velocity",
+    "qdd": "acceleration",
+    "tau": "torque",
+    "q_command": "command",
+}
 _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
 
 
@@ -26,8 +32,8 @@ _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_se
 class Layout:
     """Columns of each quantity in joint order, and the factor of each column to SI.
 
-    `quantities` has position and torque, and velocity, acceleration, and extras such as `tau_ext`
-    where the log has them.
+    `quantities` has position, torque or command, and velocity, acceleration, and extras such as
+    `tau_ext` where the log has them.
     """
 
     time: str | None
@@ -65,11 +71,11 @@ def find_layout(
     Raises
     ------
     RecordingError
-        If positions or torques are missing, columns are missing or claim the same place, or they do
+        If positions are missing, or both torques and commands, columns are missing or claim the same place, or they do
         not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
-    groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})})
+    groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})}, sheet)
     for quantity in _QUANTITIES:
         listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
         if listed is not None:
@@ -79,10 +85,11 @@ def find_layout(
     position = groups.get(("position", ""))
     torque, torque_source = _torque_group(groups)
     notes: list[str] = []
-    if position is None or torque is None:
+    either = torque or groups.get(("command", ""))
+    if position is None or either is None:
         absent = " and ".join(
             what
-            for what, group in (("joint positions", position), ("joint torques", torque))
+            for what, group in (("joint positions", position), ("joint torques", either))
             if group is None
         )
         listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
@@ -91,7 +98,7 @@ def find_layout(
             cure=Cure(
                 "name them in a recording sheet beside the log: [columns] position ="
                 ' ["..."], torque = ["..."]; usual names are q_1, position_1, <joint>_pos and'
-                " tau_1, effort_1, <joint>_torque"
+                " tau_1, effort_1, <joint>_torque; commanded positions do too: command = [...]"
             ),
             file=source,
             available=list(names),
@@ -106,7 +113,7 @@ def find_layout(
         try:
             ordered[quantity] = _aligned(source, quantity, group, labels, sheet)
         except RecordingError:
-            if quantity in _QUANTITIES:
+            if quantity in _QUANTITIES and (quantity != "command" or torque is None):
                 raise
             notes.append(
                 f"the {len(group.names)} columns of {quantity} do not match the {len(labels)}"
@@ -127,10 +134,10 @@ def find_layout(
 
 
 def _chosen(
-    groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group
+    groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group | None
 ) -> dict[str, _Group]:
     """Return the groups by the names of their quantities, extra torques under their own."""
-    chosen = {"position": position, "torque": torque}
+    chosen = {"position": position} | ({} if torque is None else {"torque": torque})
     for (quantity, kind), group in groups.items():
         if group is position or group is torque or quantity == "time":
             continue
@@ -160,17 +167,19 @@ def _own_columns(
 
 
 def _group(
-    names: Sequence[str], known: Mapping[str, tuple[str, str]]
+    names: Sequence[str], known: Mapping[str, tuple[str, str]], sheet: RecordingSheet
 ) -> dict[tuple[str, str], _Group]:
+    renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
     groups: dict[tuple[str, str], _Group] = {}
     for name in names:
         if name in known:
             quantity, joint = known[name]
             role: Role | None = Role(quantity, joint)  # type: ignore[arg-type]
         else:
-            role = recognise(name)
+            role = recognise(name) or commanded(name)
         if role is None:
             continue
+        role = replace(role, joint=renamed.get(role.joint, role.joint))
         group = groups.setdefault((role.quantity, role.kind), _Group())
         group.names.append(name)
         group.roles.append(role)
@@ -216,7 +225,7 @@ def _listed(
             file=source,
             value=repeated[0],
         )
-    labels = sheet.joints or ["" for _ in found]
+    labels = _listed_joints(sheet) or ["" for _ in found]
     if len(labels) != len(found):
         raise RecordingError(
             f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
@@ -227,6 +236,11 @@ def _listed(
         )
     quantity = what if what in _QUANTITIES else "torque"
     return _Group(found, [Role(quantity, label, k) for k, label in enumerate(labels, start=1)])  # type: ignore[arg-type]
+
+
+def _listed_joints(sheet: RecordingSheet) -> list[str] | None:
+    """Return the joints in the order of the columns, None where the sheet does not list them."""
+    return sheet.joints if isinstance(sheet.joints, list) else None
 
 
 def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | None, TorqueSource]:
@@ -248,7 +262,8 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
     If some columns name a joint, numbers are the names of the rest.
     """
     _refuse_repeats(source, quantity, group)
-    if sheet.joints is None and any(role.joint for role in group.roles):
+    listed = _listed_joints(sheet)
+    if listed is None and any(role.joint for role in group.roles):
         group.roles = [
             role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}")
             for role in group.roles
@@ -256,16 +271,16 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
     if all(role.joint for role in group.roles):
         return [role.joint for role in group.roles]
     _sort_by_number(source, quantity, group)
-    if sheet.joints is not None:
-        if len(sheet.joints) != len(group.names):
+    if listed is not None:
+        if len(listed) != len(group.names):
             raise RecordingError(
-                f"{source}: the sheet names {len(sheet.joints)} joints but the log has"
+                f"{source}: the sheet names {len(listed)} joints but the log has"
                 f" {len(group.names)} {quantity} columns",
                 file=source,
                 value=len(group.names),
-                expected=len(sheet.joints),
+                expected=len(listed),
             )
-        return list(sheet.joints)
+        return list(listed)
     return [f"joint_{k}" for k in range(1, len(group.names) + 1)]
 
 

@@ -12,7 +12,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.formats.log_format import log_format
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.streaming import stream_recording
@@ -49,6 +51,8 @@ class RecordingStream:
         Samples per chunk.
     joints
         Joints to keep, in order; None: those of the robot.
+    servo
+        The position servo whose torque each chunk gets; None: as stated.
 
     Examples
     --------
@@ -61,6 +65,7 @@ class RecordingStream:
     options: ReadingOptions = field(default_factory=ReadingOptions)
     chunk_samples: int = CHUNK
     joints: tuple[str, ...] | None = None
+    servo: PositionServo | None = None
 
     @property
     def source(self) -> str:
@@ -76,7 +81,9 @@ class RecordingStream:
             self.path, model=self.model, options=self.options, chunk_samples=chunk_samples
         )
         joints = self.joints
-        return chunks if joints is None else (chunk.reordered(joints) for chunk in chunks)
+        kept = chunks if joints is None else (chunk.reordered(joints) for chunk in chunks)
+        servo = self.servo
+        return kept if servo is None else (driven_by_command(chunk, servo) for chunk in kept)
 
     @cached_property
     def head(self) -> Recording:

@@ -27,6 +27,13 @@ def _numbers(text: str) -> tuple[float, ...]:
     return values
 
 
+def servo_numbers(text: str) -> tuple[float, ...]:
+    """Return numbers separated by commas, NaN for `auto`."""
+    parts = [part.strip().lower() for part in text.split(",")]
+    _numbers(",".join("0" if part == "auto" else part for part in parts))
+    return tuple(math.nan if part == "auto" else float(part) for part in parts)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
     """Say how logs are read.
@@ -50,6 +57,13 @@ class ReadingOptions:
     gravity
         Acceleration of free fall in the root frame [m/s^2], in place of the description's; `-z` and
         the other axes are 9.81 m/s^2 in that direction. `fitted_recordings` applies it.
+    kp, kd
+        Gains of the position servo [N m/rad, N m s/rad], one for all joints or one each, NaN where
+        unknown; they replace the sheet's, and make torques of commands.
+    torque_limit
+        Largest torque of the position servo [N m], one for all joints or one each; NaN: none.
+    fixed_base
+        Whether a free joint of the robot is held at its pose. `load_robot` holds it.
 
     Raises
     ------
@@ -82,7 +96,7 @@ class ReadingOptions:
     torque_source: TorqueSource | None = field(
         default=None,
         metadata={
-            "help": "what measured the torque: sensor, motor or current",
+            "help": "where torques come from: sensor, motor, current, or command (a position servo)",
             "metavar": "KIND",
             "choices": TORQUE_SOURCES,
         },
@@ -114,6 +128,36 @@ class ReadingOptions:
         },
     )
 
+    kp: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "stiffness of the position servo [N m/rad], one or each; auto: identified",
+            "metavar": "K1,K2,...",
+            "parse": servo_numbers,
+        },
+    )
+    kd: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "damping of the position servo [N m s/rad], one or each; auto: identified with"
+            " viscous friction",
+            "metavar": "D1,D2,...",
+            "parse": servo_numbers,
+        },
+    )
+    torque_limit: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "largest torque of the position servo [N m], one or each",
+            "metavar": "T1,T2,...",
+            "parse": servo_numbers,
+        },
+    )
+    fixed_base: bool = field(
+        default=False,
+        metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
+    )
+
     def __post_init__(self) -> None:
         if self.rate is not None and not 0.0 < self.rate < np.inf:
             raise UsageError(
@@ -127,6 +171,14 @@ class ReadingOptions:
                 value=self.torque_source,
                 available=TORQUE_SOURCES,
             )
+        for name in ("kp", "kd", "torque_limit"):
+            if getattr(self, name) is not None:
+                values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64)).ravel()
+                if np.any(values < 0) or np.any(np.isinf(values)):
+                    raise UsageError(
+                        f"{name} must be finite and not negative, got {values.tolist()}", lower=0.0
+                    )
+                object.__setattr__(self, name, tuple(values.tolist()))
         if self.gain is not None:
             gains = np.atleast_1d(np.asarray(self.gain, dtype=np.float64))
             object.__setattr__(self, "gain", tuple(gains.ravel().tolist()))

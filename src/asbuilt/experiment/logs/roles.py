@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "current"]
+Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "current", "command"]
 
 _WORDS: dict[str, Quantity] = {
     **dict.fromkeys(
@@ -90,6 +90,8 @@ _DESIRED = {
     "error",
     "err",
 }
+_COMMANDS = {"command", "commanded", "cmd"}
+"""Words that make a command of a column without another quantity."""
 _OTHER = {
     "temperature",
     "temp",
@@ -127,6 +129,7 @@ _MEASURED = {
     "header",
     "log",
     "data",
+    "dof",
 }
 _PREFIXES = _MEASURED - {"hat", "joint", "joints", "j"}
 """Words before a joint's name that do not belong to it."""
@@ -246,6 +249,32 @@ def recognise(name: str) -> Role | None:
             else ""
         )
     return Role(quantity, joint, index, kind, 1.0 if scale is None else scale, unit)
+
+
+def commanded(name: str) -> Role | None:
+    """Return the role of a column of commanded positions by its name, None for all others.
+
+    Examples
+    --------
+    >>> commanded("des_dof_pos_3").index, commanded("elbow_joint_target_position").joint
+    (3, 'elbow_joint')
+    >>> commanded("q_1"), commanded("target_velocity_1")
+    (None, None)
+    """
+    spans = list(_TOKEN.finditer(name))
+    desired = [m for m in spans if m.group().lower() in _DESIRED - {"error", "err"}]
+    if not desired or {m.group().lower() for m in spans} & {"error", "err"}:
+        return None
+    rest = name
+    for found in reversed(desired):
+        rest = rest[: found.start()] + rest[found.end() :]
+    rest = re.sub(r"([_./ -])[_./ -]+", r"\1", rest).strip("_./ -")
+    role = recognise(rest)
+    if role is None and _COMMANDS & {m.group().lower() for m in desired}:
+        role = recognise(f"{rest}_position" if re.search("[a-zA-Z]", rest) else f"position_{rest}")
+    if role is None or role.quantity != "position" or role.kind:
+        return None
+    return replace(role, quantity="command")
 
 
 def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.roles import unit_scale
+from asbuilt.experiment.recording import TorqueSource
 from asbuilt.untrusted import parsed_toml, read_text, reason
 
 ColumnName = int | str
@@ -46,6 +47,8 @@ def _without_values(value: object) -> object:
 
 
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
+ServoNumber = Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto"]
+ServoNumbers = ServoNumber | list[ServoNumber] | None
 ColumnList = Annotated[list[ColumnName], BeforeValidator(_spread)]
 
 
@@ -64,6 +67,7 @@ class SheetColumns(_Part):
     velocity: ColumnList | None = None
     acceleration: ColumnList | None = None
     torque: ColumnList | None = None
+    command: ColumnList | None = None
     extra: dict[str, ColumnList] = Field(default_factory=dict)
 
 
@@ -75,6 +79,7 @@ class SheetUnits(_Part):
     velocity: str | None = None
     acceleration: str | None = None
     torque: str | None = None
+    command: str | None = None
 
     @model_validator(mode="after")
     def _known(self) -> SheetUnits:
@@ -117,6 +122,8 @@ class RecordingSheet(_Part):
     `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
     `gains` turn them into N m (amperes times N m/A); both are one number or one per joint. `lock`
     names joints that are not identified, with their positions [rad or m] if these are known.
+    `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
+    of the log. `kp`, `kd` and `torque_limit` are those of the position servo, "auto" if unknown.
 
     Examples
     --------
@@ -128,10 +135,13 @@ class RecordingSheet(_Part):
     rate: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     header: bool | None = None
     separator: Literal[",", ";", "\t", "|", " "] | None = None
-    joints: list[str] | None = None
-    torque_source: Literal["sensor", "motor", "current", "unknown"] | None = None
+    joints: list[str] | dict[str, str] | None = None
+    torque_source: TorqueSource | None = None
     sign: float | list[float] | None = None
     gains: float | list[float] | None = None
+    kp: ServoNumbers = None
+    kd: ServoNumbers = None
+    torque_limit: ServoNumbers = None
     columns: SheetColumns = SheetColumns()
     units: SheetUnits = SheetUnits()
     windows: list[SheetWindow] = Field(default_factory=list)

@@ -17,7 +17,7 @@ from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_op
 from asbuilt.experiment.logs.readers import check_readable, find_sheet, read_recording
 from asbuilt.experiment.recording import Recording
 
-_STREAMED = ("position", "velocity", "acceleration", "torque")
+_STREAMED = ("position", "velocity", "acceleration", "torque", "command")
 
 
 def stream_recording(

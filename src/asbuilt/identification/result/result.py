@@ -17,6 +17,7 @@ from asbuilt.codec import FieldError, decoded, plain, stored
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
@@ -32,6 +33,7 @@ from asbuilt.identification.result.torque_prediction import (
     all_parameters,
     predict_torque,
 )
+from asbuilt.identification.servo.servo_errors import ServoErrors
 from asbuilt.tables import Column, Shown, Table, rounded
 from asbuilt.untrusted import DEEPEST, depth, reason
 
@@ -142,6 +144,9 @@ class IdentificationResult:
     free
         The parameters by weighted least squares alone, for comparing results; None if `method` is
         that.
+    servo, servo_errors
+        The position servo whose command was the torque, and its standard errors; None for torques
+        that were logged.
     """
 
     model: RobotModel
@@ -176,6 +181,8 @@ class IdentificationResult:
     errors: ErrorBasis = field(default_factory=ErrorBasis)
     free: FreeValues | None = None
     delay: tuple[RecordingDelay, ...] = ()
+    servo: PositionServo | None = None
+    servo_errors: ServoErrors | None = None
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints

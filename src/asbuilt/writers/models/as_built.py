@@ -8,6 +8,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -44,12 +45,30 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     """
     found = as_built_parameters(result, nearest)
     robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
+    robot = _with_servo(robot, result.servo)
     sources = ", ".join(result.sources)
     note = f"identified ({result.method}) from {sources}; {found.verdict}"
     return AsBuilt(
         found,
         replace(robot, notes=(*result.model.notes, note), source=f"identified from {sources}"),
     )
+
+
+def _with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
+    """Return the robot with the gains and torque limits of a servo, if there is one."""
+    if servo is None:
+        return robot
+    joints = tuple(
+        replace(
+            joint,
+            drive=replace(joint.drive, kp=kp, kd=kd),
+            limits=replace(joint.limits, torque=min(limit, joint.limits.torque)),
+        )
+        for joint, kp, kd, limit in zip(
+            robot.joints, servo.kp, servo.kd, servo.torque_limit, strict=True
+        )
+    )
+    return replace(robot, joints=joints)
 
 
 def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
@@ -86,7 +105,14 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
                 }
         joints.append(
             replace(
-                joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=terms)
+                joint,
+                drive=DriveValues(
+                    **plain,
+                    gear_ratio=joint.drive.gear_ratio,
+                    kp=joint.drive.kp,
+                    kd=joint.drive.kd,
+                    terms=terms,
+                ),
             )
         )
     return replace(robot, joints=tuple(joints), drives_by_design=True)

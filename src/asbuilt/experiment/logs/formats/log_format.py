@@ -93,12 +93,15 @@ class LogFormat:
         How long files are read in chunks; None if they are read whole.
     folders
         Whether a folder may be a log of this format.
+    recognises
+        Whether this folder is one, where several formats have folders; None for the rest.
     """
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, RecordingSheet], LogTable]
     stream: LogStream | None = None
     folders: bool = False
+    recognises: Callable[[Path], bool] | None = None
 
 
 FORMATS: Registry[LogFormat] = Registry(
@@ -116,7 +119,7 @@ def log_format(path: Path) -> LogFormat:
     """
     suffix = path.suffix.lower()
     if path.is_dir():
-        found = next((each for each in FORMATS.values() if each.folders), None)
+        found = _folder_format(path)
     else:
         found = next((each for each in FORMATS.values() if suffix in each.suffixes), None)
     if not path.is_dir() and not path.is_file():
@@ -130,13 +133,20 @@ def log_format(path: Path) -> LogFormat:
     if found is None:
         known = sorted(suffix for each in FORMATS.values() for suffix in each.suffixes)
         raise RecordingError(
-            f"{path} is not a recording that can be read: known are {', '.join(known)} and the"
-            " folder of a ROS 2 bag",
+            f"{path} is not a recording that can be read: known are {', '.join(known)} and"
+            " folders of ROS 2 bags, SAGE motions and LeRobot datasets",
             cure=Cure(REPACKED[suffix]) if suffix in REPACKED else None,
             file=str(path),
             available=known,
         )
     return found
+
+
+def _folder_format(path: Path) -> LogFormat | None:
+    """Return the format that recognises a folder, else the one that takes any."""
+    of_folders = [each for each in FORMATS.values() if each.folders]
+    certain = (each for each in of_folders if each.recognises and each.recognises(path))
+    return next(certain, next((each for each in of_folders if each.recognises is None), None))
 
 
 def table_from_variables(source: str, variables: Mapping[str, Array]) -> LogTable:

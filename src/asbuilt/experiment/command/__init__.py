@@ -1,0 +1,1 @@
+"""Commands of position servos as torques."""

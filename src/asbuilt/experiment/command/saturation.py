@@ -1,0 +1,32 @@
+"""Samples at which the torque limit of a position servo hides its law."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.arrays import Mask
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.samples import Samples
+
+SATURATED = 0.999
+"""Share of the torque limit from which the servo counts as saturated."""
+
+
+def saturated(recording: Recording) -> Mask:
+    """Return where a joint's servo is at its torque limit, shape (N, n)."""
+    if recording.servo is None:
+        return np.zeros(recording.q.shape, dtype=np.bool_)
+    limit = np.asarray(recording.servo.torque_limit)
+    return np.asarray(np.abs(recording.tau) >= SATURATED * limit)
+
+
+def outside_saturation(samples: Samples, recording: Recording) -> Samples:
+    """Return the samples at which no servo is at its torque limit."""
+    limited = np.any(saturated(recording), axis=1)
+    if not np.any(limited):
+        return samples
+    half = 0.5 / samples.rate + 0.5 / recording.rate
+    at = np.sort(recording.t[limited])
+    near = np.searchsorted(at, samples.t - half)
+    distance = at[np.minimum(near, at.size - 1)] - samples.t
+    return samples.select(~(np.abs(distance) <= half))

@@ -1,0 +1,1 @@
+"""Gains and delay of position servos from commands and positions."""

@@ -1,0 +1,125 @@
+"""Delay of a position servo: a fit with the robot's parameters, regularised toward CAD."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.identification.bodies.cad_prior import CadPrior
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
+from asbuilt.identification.servo.servo_rows import ServoRows
+from asbuilt.identification.servo.servo_scale import block_weights, clustered
+
+
+@dataclass(frozen=True, slots=True)
+class DelayRules:
+    """Settings of the fit.
+
+    Parameters
+    ----------
+    links
+        Weight of CAD per link, in samples: the strongest of the automatic choice.
+    drives
+        Standard deviation of drive parameters before the data [SI units], practically free.
+    passes
+        Passes of the weights of joints and blocks.
+    """
+
+    links: float = 25.0
+    drives: float = 1e3
+    passes: int = 8
+
+
+RULES = DelayRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DelayFit:
+    """Hold the change of the delay [s] from that of the rows, and its standard error.
+
+    `excess` (B,) is the largest residual of a joint in each block, in those of its median block.
+    """
+
+    step: float
+    std_error: float
+    excess: Array
+
+
+def fit_delay(
+    rows: ServoRows,
+    base: BaseParameters,
+    design: CadPrior,
+    kp: Sequence[float],
+    kd: Sequence[float],
+) -> DelayFit:
+    """Fit `kp (u - q) - kd qd = W beta + step kp du/dt` with passive drives.
+
+    Links have a prior from CAD. Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
+    everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933).
+    """
+    n, p = len(rows.support), base.n_standard
+    prior = np.eye(p + 1) / RULES.drives**2
+    for i, metric in enumerate(design.metric):
+        own = slice(10 * i, 10 * i + 10)
+        prior[own, own] = RULES.links * metric
+    prior[p, p] = 0.0
+    start = np.append(design.parameters, 0.0)
+    start[10 * n : p] = 0.0
+    lower = np.full(p + 1, -np.inf)
+    lower[design.non_negative] = 0.0
+    maps = [_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
+    weight = np.ones((n, len(rows.times)))
+    x = start
+    for _ in range(RULES.passes):
+        normal, right = prior.copy(), prior @ start
+        for k, (J, torque) in enumerate(maps):
+            weighted = J.T @ rows.total(k, weight[k])
+            normal += weighted @ J
+            right += weighted @ torque
+        x, free = _bounded(normal, right, lower)
+        residuals = [torque - J @ x for J, torque in maps]
+        for k, residual in enumerate(residuals):
+            own = block_weights(rows, k, residual)
+            left = float(own @ rows.energies(k, residual)) / float(own @ rows.counts)
+            weight[k] = own / max(left, 1e-300)
+    inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
+    scores = sum(
+        weight[k] * (rows.grams[k] @ residual @ (J[:, free] @ inverse))
+        for k, ((J, _), residual) in enumerate(zip(maps, residuals, strict=True))
+    )
+    variance, together = float(inverse[-1]), clustered(np.asarray(scores), rows)
+    if together.size >= FEWEST_BLOCKS:
+        variance = max(variance, float(together @ together) * together.size / (together.size - 1))
+    left = np.array(
+        [rows.energies(k, residual) / rows.counts for k, residual in enumerate(residuals)]
+    )
+    excess = np.sqrt(np.max(left / np.median(left, axis=1)[:, None], axis=0))
+    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess)
+
+
+def _coefficients(
+    rows: ServoRows, base: BaseParameters, k: int, kp: float, kd: float
+) -> tuple[Array, Array]:
+    """Return a joint's rows in terms of parameters and delay, and its torque, as coefficients."""
+    own = rows.support[k]
+    J = np.zeros((own.size + 3, base.n_standard + 1))
+    J[: own.size, :-1] = base.regrouping[own]
+    J[own.size + 1, -1] = kp
+    torque = np.zeros(own.size + 3)
+    torque[own.size], torque[own.size + 2] = -kd, kp
+    return J, torque
+
+
+def _bounded(normal: Array, right: Array, lower: Array) -> tuple[Array, Array]:
+    """Return the solution of normal equations above its bounds, and what is not at a bound."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    root = np.linalg.cholesky(normal * np.outer(scale, scale)).T
+    target = solve_triangular(root, right * scale, trans="T")
+    found = lsq_linear(root, target, bounds=(lower, np.inf), method="bvls")
+    return found.x * scale, np.flatnonzero(found.active_mask == 0)

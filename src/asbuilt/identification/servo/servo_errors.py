@@ -1,0 +1,40 @@
+"""Standard errors of an identified position servo, and what they rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from asbuilt.codec import stored
+
+
+def _with_infinities(values: Sequence[float | None]) -> tuple[float, ...]:
+    return tuple(np.inf if each is None else float(each) for each in values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoErrors:
+    """Hold what is known of the errors of a servo.
+
+    Parameters
+    ----------
+    kp
+        Standard errors of the stiffness (n,), 0 where it was given, infinite where nothing
+        determines it.
+    delay
+        Standard error of the delay [s], 0 where it was given.
+    shared
+        Whether one stiffness was fitted to all joints.
+    scale
+        What gives the stiffness of each joint its scale: gravity or inertia of CAD, or "given".
+    kd_unknown
+        Whether the damping of each joint is unknown and part of its viscous friction.
+    """
+
+    kp: tuple[float, ...] = field(default=(), metadata=stored(decode=_with_infinities))
+    delay: float = 0.0
+    shared: bool = False
+    scale: tuple[str, ...] = ()
+    kd_unknown: tuple[bool, ...] = ()

@@ -1,0 +1,133 @@
+"""Position servo of a robot from its commands: stiffness, damping and delay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification.servo.servo_delay import fit_delay
+from asbuilt.identification.servo.servo_errors import ServoErrors
+from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows
+from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
+
+
+@dataclass(frozen=True, slots=True)
+class ServoIterations:
+    """Say when the delay has settled: at most so many steps, each below `convergence` [s]."""
+
+    most: int = 12
+    convergence: float = 2e-5
+    longest: float = 0.2
+
+
+ITERATIONS = ServoIterations()
+UNEXPLAINED = 3.0
+"""Residual of a second, in those of the median second, from which it has another cause than those
+of the model: contact, or a limit of the servo. Residuals of friction stay below."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoEstimate:
+    """Hold an identified servo with its errors, and the time blocks that it does not explain."""
+
+    servo: PositionServo
+    errors: ServoErrors
+    unexplained: tuple[TimeBlock, ...] = ()
+
+
+def estimate_servo(
+    model: RobotModel,
+    recordings: Sequence[Recording],
+    drive: DriveSet,
+    chain: SignalChain,
+    *,
+    delay: float | None = None,
+    shared: bool = False,
+    holdout: str | None = None,
+) -> ServoEstimate:
+    """Identify what is unknown of the servo that all recordings have.
+
+    Parameters
+    ----------
+    model
+        The robot, whose masses by design give an unknown stiffness its scale.
+    recordings
+        Recordings with commands and the same servo.
+    drive
+        Linear drive terms.
+    chain
+        The signal chain, its cutoff settled.
+    delay
+        Time [s] by which the torque follows the command; None: identified.
+    shared
+        Whether all unknown stiffnesses are one.
+    holdout
+        A rule of `hold_out`: what to leave out.
+    """
+    first = recordings[0].servo
+    if first is None:
+        raise ValueError("the recordings have no servo")
+    base, design = find_base_parameters(model, drive), cad_prior(model, drive)
+    links = design.parameters.copy()
+    links[10 * model.n_joints :] = 0.0
+    unknown = np.isnan(np.array(first.kp))
+    kd = np.nan_to_num(np.array(first.kd))
+    late, error, scale = 0.0 if delay is None else delay, 0.0, None
+    for _ in range(ITERATIONS.most):
+        rows = servo_rows(model, base, recordings, chain, late, holdout)
+        kp, scale = _gains(rows, base, links, first, unknown, shared)
+        found = fit_delay(rows, base, design, kp.tolist(), kd.tolist())
+        if delay is not None:
+            break
+        late = float(np.clip(late + found.step, -ITERATIONS.longest, ITERATIONS.longest))
+        error = found.std_error
+        if abs(found.step) < max(ITERATIONS.convergence, 0.05 * error):
+            break
+    errors = np.zeros(model.n_joints) if scale is None else np.where(unknown, scale.std_errors, 0.0)
+    return ServoEstimate(
+        replace(first, kp=tuple(kp.tolist()), kd=tuple(kd.tolist()), delay=late),
+        ServoErrors(
+            kp=tuple(errors.tolist()),
+            delay=error,
+            shared=scale is not None and scale.shared,
+            scale=tuple(
+                "given" if scale is None or not each else name
+                for each, name in zip(
+                    unknown, ("",) * len(unknown) if scale is None else scale.source, strict=True
+                )
+            ),
+            kd_unknown=tuple(bool(each) for each in np.isnan(np.array(first.kd))),
+        ),
+        tuple(
+            block
+            for block, excess in zip(rows.times, found.excess, strict=True)
+            if excess > UNEXPLAINED
+        ),
+    )
+
+
+def _gains(
+    rows: ServoRows,
+    base: BaseParameters,
+    links: Array,
+    servo: PositionServo,
+    unknown: Mask,
+    shared: bool,
+) -> tuple[Array, ServoScale | None]:
+    """Return the stiffness of every joint, and how unknown ones were found."""
+    given = np.array(servo.kp)
+    if not np.any(unknown):
+        return given, None
+    scale = find_scale(rows, base, links, servo.kd, unknown, shared=shared)
+    return np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), given), scale

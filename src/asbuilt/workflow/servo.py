@@ -1,0 +1,218 @@
+"""Position servos in a study: what is unknown of them is identified before the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import UsageError
+from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.logs.recordings import Recorded
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.servo.servo_estimate import UNEXPLAINED, ServoEstimate, estimate_servo
+from asbuilt.tables import rounded
+from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.prepare import Prepared
+
+UNDETERMINED = 0.5
+"""Relative standard error of a stiffness beyond which only ratios to it are determined."""
+
+
+def settle_servo(
+    model: RobotModel,
+    recordings: Sequence[Recorded],
+    validation: Sequence[Recorded],
+    options: StudyOptions,
+) -> tuple[list[Recorded], list[Recorded], ServoEstimate | None, StudyOptions]:
+    """Return recordings with the torque of their position servo, what it is, and the options.
+
+    Nothing changes unless the torque of the recordings is that of a servo that follows a command.
+
+    Raises
+    ------
+    UsageError
+        If recordings have different servos, or only some have one.
+    """
+    servos = [_servo(item) for item in (*recordings, *validation)]
+    if not any(servo is not None for servo in servos):
+        return [*recordings], [*validation], None, options
+    first = servos[0]
+    if first is None or any(servo is None or not _alike(servo, first) for servo in servos):
+        raise UsageError(
+            "the recordings have torques of different kinds, or of different position servos;"
+            " identify from recordings of one servo"
+        )
+    heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
+    chain = options.chain or SignalChain()
+    drive = _linear(options.drive) or usual_drive(model, "command")
+    delay = options.delay
+    found = estimate_servo(
+        model,
+        heads,
+        drive,
+        resolve_chain(chain, *heads),
+        delay=float(delay) if isinstance(delay, int | float) else None,
+        shared=options.same_servos,
+        holdout=options.holdout,
+    )
+    return (
+        [with_servo(item, found.servo) for item in recordings],
+        [with_servo(item, found.servo) for item in validation],
+        found,
+        options,
+    )
+
+
+def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
+    """Return a recording with the torque of a servo that follows its command, if it has one."""
+    if servo is None or isinstance(item, Samples):
+        return item
+    if isinstance(item, RecordingStream):
+        return replace(item, servo=servo)
+    return driven_by_command(item, servo) if item.command is not None else item
+
+
+def without_unexplained(prepared: Prepared, found: ServoEstimate | None) -> Prepared:
+    """Return the samples without the time that the servo and the robot do not explain."""
+    if found is None or not found.unexplained:
+        return prepared
+    return replace(
+        prepared,
+        training=tuple(
+            samples.outside(
+                [
+                    (block.start, block.stop)
+                    for block in found.unexplained
+                    if block.source == samples.source
+                ]
+            )
+            for samples in prepared.training
+        ),
+    )
+
+
+def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:
+    """Return what the torque of a command rests on, as a sentence."""
+    if found is None:
+        return ()
+    servo, errors = found.servo, found.errors
+    gains = "; ".join(
+        f"{name} {_shown(kp, error)}"
+        for name, kp, error in zip(model.joint_names, servo.kp, errors.kp, strict=True)
+    )
+    late = f"{_shown(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
+    return (
+        "Torque of a position servo: clip(kp (command(t - delay) - q) - kd qd), the command held"
+        f" until the next; kp [N m/rad] {gains}; delay {late}.",
+    )
+
+
+def servo_findings(
+    model: RobotModel, found: ServoEstimate | None, drive: DriveSet
+) -> tuple[Finding, ...]:
+    """Return what is worth knowing of an identified servo."""
+    if found is None:
+        return ()
+    errors, findings = found.errors, []
+    names = np.array(model.joint_names)
+    unknown = np.array([each != "given" for each in errors.scale])
+    relative = np.array(errors.kp) / np.array(found.servo.kp)
+    lost = unknown & ~(relative < UNDETERMINED)
+    if np.any(lost):
+        findings.append(
+            Finding(
+                "servo_gain_undetermined",
+                "warning",
+                f"The stiffness of the position servo of {joined(names[lost].tolist())} is"
+                " undetermined: only ratios of parameters to it are determined",
+                Cure("give it, or record a motion with more gravity, or a known payload"),
+            )
+        )
+    elif np.any(unknown):
+        sources = sorted({each for each in errors.scale if each != "given"})
+        one = "one stiffness for all joints" if errors.shared else "a stiffness for each joint"
+        findings.append(
+            Finding(
+                "servo_gain_from_cad",
+                "info",
+                f"The stiffness of the position servo was unknown: {one},"
+                f" {_shown(found.servo.kp[0], errors.kp[0])} N m/rad for {names[0]}, from the"
+                f" {' and '.join(sources)} of CAD. All torques have its relative error",
+                Cure("give the stiffness if it is known"),
+            )
+        )
+    if found.unexplained:
+        findings.append(_unexplained(found))
+    if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
+        findings.append(
+            Finding(
+                "servo_damping_in_friction",
+                "info",
+                "The damping of the position servo is unknown: viscous friction includes it, since"
+                " only their sum acts",
+                Cure("give the damping if it is known"),
+            )
+        )
+    return tuple(findings)
+
+
+def _unexplained(found: ServoEstimate) -> Finding:
+    blocks = found.unexplained
+    seconds = sum(block.stop - block.start for block in blocks)
+    listed = joined(
+        [
+            f"{recording_name(block.source)} {block.start:.0f} to {block.stop:.0f} s"
+            for block in blocks
+        ]
+    )
+    return Finding(
+        "unexplained_motion",
+        "warning",
+        f"{seconds:.3g} s were left out, in which the torque of the command differs from the"
+        f" robot's {UNEXPLAINED:g} times as much as usual ({listed}): contact, or a limit of the"
+        " servo",
+        Cure("record without contact and with slower commands, or give the torque limit"),
+        time=blocks[0].start,
+    )
+
+
+def _servo(item: Recorded) -> PositionServo | None:
+    if isinstance(item, Samples):
+        return None
+    head = head_of(item)
+    return head.servo if head.torque_source == "command" and head.command is not None else None
+
+
+def _alike(one: PositionServo, other: PositionServo) -> bool:
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
+        for name in ("kp", "kd", "torque_limit")
+    )
+
+
+def _linear(drive: DriveSet | str | None) -> DriveSet | None:
+    """Return the linear terms of a given drive; None where it is not given or chosen later."""
+    if not isinstance(drive, DriveSet):
+        return None
+    terms = tuple(term for term in drive.terms if not term.nonlinear and not term.needs_load)
+    return DriveSet(terms) if terms else None
+
+
+def _shown(value: float, error: float) -> str:
+    if not error:
+        return f"{value:.4g}"
+    return (
+        " +- ".join(rounded(value, error)) if np.isfinite(error) else f"{value:.3g} (undetermined)"
+    )
