@@ -32,10 +32,12 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.workflow.options import (
     BLOCKS,
+    ROLLOUT,
     ControllerOptions,
     PayloadOptions,
     StudyOptions,
     ValidationOptions,
+    horizons,
 )
 
 
@@ -104,6 +106,10 @@ def validate(
     ],
     log: Logs,
     *,
+    rollout: Annotated[
+        str | None,
+        typer.Option("--rollout", metavar="LIST", help=ROLLOUT["help"]),
+    ] = None,
     unchecked: Unchecked = False,
     reading: ReadingOptions,
     filtering: Filtering,
@@ -113,9 +119,11 @@ def validate(
 ) -> None:
     """Predict recordings with an identified model, and with CAD beside it."""
     from asbuilt.validation.comparison.comparison import compare
+    from asbuilt.workflow.simulation.rollout import roll_out_result, roll_out_robot
     from asbuilt.workflow.validation import validate as validate_result
     from asbuilt.workflow.validation import validate_robot
     from asbuilt.writers.reports.study_files import write_validations
+    from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import (
         described_document,
         described_torque_table,
@@ -124,7 +132,9 @@ def validate(
 
     distinct_logs(log)
     options = ValidationOptions(
-        chain=filtering.chain() if any(filtering.given.values()) else None, checked=not unchecked
+        chain=filtering.chain() if any(filtering.given.values()) else None,
+        rollout=() if rollout is None else horizons(rollout),
+        checked=not unchecked,
     )
     if Path(result).suffix.lower() != ".json":
         if out is not None:
@@ -136,28 +146,34 @@ def validate(
             described_robot(result, fixed_base=reading.fixed_base), reading, log
         )
         errors = validate_robot(model, logged, options=options)
+        simulated = roll_out_robot(model, logged, options.rollout, options=options)
         answer(
             as_json,
-            lambda: described_document(model, errors),
-            lambda: described_torque_table(model, errors).as_text(full),
+            lambda: with_rollouts(described_document(model, errors), simulated),
+            lambda: (
+                described_torque_table(model, errors).as_text(full)
+                + rollout_text(model, simulated, full=full, cure_text=cure_text)
+            ),
         )
         return
     identified = read_result(Path(result))
     if options.chain is not None and filtering.delay is None and identified.chain is not None:
         kept = replace(options.chain, delay=identified.chain.delay)
         options = replace(options, chain=kept)
-    validations = validate_result(
-        identified, recordings_of(identified.model, log, reading), options=options
-    )
+    logged = recordings_of(identified.model, log, reading)
+    validations = validate_result(identified, logged, options=options)
+    simulated = roll_out_result(identified, logged, options.rollout, options=options)
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
     answer(
         as_json,
-        lambda: validate_document(identified, validations, files=files),
+        lambda: with_rollouts(validate_document(identified, validations, files=files), simulated),
         lambda: (
             comparison.torque_table().as_text(full)
             + "\n"
             + comparison.verdict()
+            + ("\n" if simulated else "")
+            + rollout_text(identified.model, simulated, full=full, cure_text=cure_text)
             + listed_files(files)
         ),
     )

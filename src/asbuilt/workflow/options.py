@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import UsageError
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
 from asbuilt.identification.estimators.methods import methods
 
@@ -31,6 +32,26 @@ def _drive(text: str) -> DriveSet | str:
 
 def _method(text: str) -> str:
     return methods.find(text).name
+
+
+def horizons(text: str) -> tuple[float, ...]:
+    """Return the lengths of rollouts [s] that a text lists, such as "0.1,0.5,2".
+
+    Raises
+    ------
+    UsageError
+        If one is not a positive number.
+    """
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = (0.0,)
+    if not all(0.0 < value < float("inf") for value in values):
+        raise UsageError(
+            f"lengths of rollouts are positive numbers of seconds, such as 0.1,0.5,2, got {text!r}",
+            value=text,
+        )
+    return tuple(dict.fromkeys(values))
 
 
 def _delay(text: str) -> float | Literal["auto"]:
@@ -55,6 +76,13 @@ def _option(default: Any, metavar: str, help: str, **further: Any) -> Any:
 
 
 CHECKED = {"help": "use the recordings whatever their checks find"}
+ROLLOUT = {
+    "metavar": "LIST",
+    "help": (
+        "simulate held-out windows of these lengths [s] from the measured state, such as 0.1,0.5,2"
+    ),
+    "parse": horizons,
+}
 HOLDOUT = {
     "metavar": "RULE",
     "help": "hold out for validation: blocks:5s:3 (every third 5 s block) or last:0.3",
@@ -86,6 +114,10 @@ class StudyOptions:
         Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
     block_seconds
         Length of the time blocks [s]; None: 5 s, less in short recordings.
+    rollout
+        Lengths [s] of windows that are simulated, of what is held out.
+    refine
+        Continue the fit by trajectories ("rollout"), simulated windows of the training data.
     delay
         Time [s] by which the torque of a position servo follows its command; "auto" or None:
         identified.
@@ -136,6 +168,13 @@ class StudyOptions:
         choices=ERROR_KINDS,
     )
     block_seconds: float | None = None
+    rollout: tuple[float, ...] = field(default=(), metadata=ROLLOUT)
+    refine: Literal["rollout"] | None = _option(
+        None,
+        "HOW",
+        "continue the fit: rollout (by simulated trajectories)",
+        choices=("rollout",),
+    )
     delay: float | Literal["auto"] | None = _option(
         None,
         "auto|SECONDS",
@@ -165,12 +204,15 @@ class ValidationOptions:
         The signal chain; None: that of the result, or else chosen for each recording.
     cad
         Another description of the robot with the same geometry, in place of the result's.
+    rollout
+        Lengths [s] of windows that are simulated.
     checked
         Refuse recordings in which `check_recording` finds errors.
     """
 
     chain: SignalChain | None = None
     cad: RobotModel | str | Path | None = None
+    rollout: tuple[float, ...] = field(default=(), metadata=ROLLOUT)
     checked: bool = field(default=True, metadata=CHECKED)
 
 

@@ -15,7 +15,6 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain

@@ -39,11 +39,24 @@ from asbuilt.validation.generalisation.generalisation import (
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
 from asbuilt.validation.prediction import Validation, predict_both
+from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.delays import delay_findings
-from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
 from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo, without_unexplained
+from asbuilt.workflow.simulation.refinement import (
+    Refined,
+    judged,
+    refine_study,
+    refinement_findings,
+)
+from asbuilt.workflow.simulation.rollout import (
+    Simulated,
+    held_out_parts,
+    simulated_rollouts,
+    trained_parts,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,6 +79,10 @@ class Study:
         How the cutoff was chosen, if it was swept.
     attribution
         Which causes explain the error of CAD; None if the recordings are too short.
+    rollouts
+        Simulations of what was held out and of the other recordings, one per length of windows.
+    refined
+        How the refinement by trajectories went; None without one.
 
     A study that is read from a file has the result and the findings alone.
     """
@@ -77,6 +94,8 @@ class Study:
     validations: tuple[Validation, ...] = ()
     cutoffs: CutoffSweep | None = None
     attribution: Attribution | None = None
+    rollouts: tuple[Rollout, ...] = ()
+    refined: Refined | None = None
 
     def __repr__(self) -> str:
         codes = ", ".join(finding.code for finding in self.findings) or "none"
@@ -182,6 +201,11 @@ def identify(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
     trained, others, servo, options = settle_servo(model, trained, others, options)
+    if options.rollout and options.holdout is None and not others:
+        raise UsageError(
+            "a rollout needs a recording, or a part of one, that the model is not fitted to",
+            cure=Cure("hold out a part, or give another recording", settings={"holdout": BLOCKS}),
+        )
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
@@ -201,7 +225,18 @@ def identify(
         progress=report,
     )
     report("identify", 0.0)
-    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, servo, report)
+    parts = trained_parts(trained, prepared.chain, options.holdout) if options.refine else ()
+    settled = sweeps[0] if sweeps else None
+    study = _concluded(model, prepared, options, settled, servo, report, parts)
+    if not options.rollout and not options.refine:
+        return study
+    report("roll out", 0.0)
+    held = held_out_parts(trained, others, prepared.chain, options.holdout)
+    if study.refined is not None:
+        study = replace(study, refined=judged(study.result, study.refined, held or parts))
+    rollouts = simulated_rollouts(study.result, held, options.rollout)
+    findings = ranked((*study.findings, *rollout_findings(rollouts)))
+    return replace(study, rollouts=rollouts, findings=findings)
 
 
 def _concluded(
@@ -211,6 +246,7 @@ def _concluded(
     cutoffs: CutoffSweep | None,
     servo: ServoEstimate | None,
     report: Progress,
+    parts: Sequence[Simulated] = (),
 ) -> Study:
     """Identify from prepared samples and say what is to be said."""
     prepared = without_unexplained(prepared, servo)
@@ -234,6 +270,9 @@ def _concluded(
         fitted_nonlinear=choice.fitted,
     )
     fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
+    refined = None
+    if options.refine is not None:
+        fit, servo, refined = refine_study(fit, parts, servo, options.rollout, report)
     report("predict", 0.0)
     trained, validations = (
         tuple(
@@ -278,11 +317,19 @@ def _concluded(
         ),
         *_gain_findings(training),
         *servo_findings(model, servo, choice.drive),
+        *refinement_findings(refined),
         *mass_findings(result),
     )
     report("compare", 1.0)
     return Study(
-        result, ranked(findings), prepared.checks, trained, validations, cutoffs, attribution
+        result,
+        ranked(findings),
+        prepared.checks,
+        trained,
+        validations,
+        cutoffs,
+        attribution,
+        refined=refined,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.formats.mjcf_text import mjcf_text
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, RobotModel
@@ -57,6 +57,9 @@ class Physics:
     timestep
         Step of the integrator [s], fourth-order Runge-Kutta, divided further where viscous
         friction decays faster.
+    extend
+        Called with MuJoCo's `MjSpec` of the robot before it is compiled, to add actuators or
+        tendons.
 
     Raises
     ------
@@ -74,6 +77,7 @@ class Physics:
         viscous: ArrayLike = 0.0,
         coulomb: ArrayLike = 0.0,
         timestep: float = 1e-3,
+        extend: Callable[[Any], None] | None = None,
     ) -> None:
         self._mujoco = mujoco_module()
         self.model = model
@@ -90,9 +94,10 @@ class Physics:
                 for link in model.links
             ),
         )
-        self.compiled: Any = self._mujoco.MjModel.from_xml_string(
-            mjcf_text(bare, actuators=False, shapes=False)
-        )
+        spec = self._mujoco.MjSpec.from_string(mjcf_text(bare, actuators=False, shapes=False))
+        if extend is not None:
+            extend(spec)
+        self.compiled: Any = spec.compile()
         self.compiled.opt.timestep = timestep
         self.compiled.opt.disableflags |= int(
             self._mujoco.mjtDisableBit.mjDSBL_LIMIT | self._mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -167,7 +172,7 @@ class Physics:
 
     def _fastest_decay(self, masses: Array) -> float:
         """Return the largest eigenvalue of M^-1 D [1/s], the fastest decay by viscous friction."""
-        root = np.sqrt(self.compiled.dof_damping[self._order])
+        root = np.sqrt(np.maximum(self.compiled.dof_damping[self._order], 0.0))
         return float(
             np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max()
         )
@@ -206,6 +211,11 @@ class Physics:
             acceleration[k] = data.qacc[order]
             friction[k] = -(data.qfrc_constraint + data.qfrc_passive)[order]
         return acceleration, friction
+
+    @property
+    def order(self) -> Indices:
+        """Index of each joint's degree of freedom in the compiled model, shape (n,)."""
+        return self._order
 
     def start(self, q: ArrayLike, qd: ArrayLike) -> None:
         """Put the robot into a state (n,), at time 0 and without memory of earlier motion."""

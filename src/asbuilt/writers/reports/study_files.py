@@ -28,6 +28,7 @@ from asbuilt.writers.reports.report import write_report
 from asbuilt.writers.tables.drive_tables import motor_side_table
 from asbuilt.writers.tables.mass_table import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
+from asbuilt.writers.tables.rollout_tables import refined_text, rollout_text, with_rollouts
 from asbuilt.writers.tables.tabular import (
     identify_document,
     prediction_table,
@@ -74,6 +75,10 @@ def study_text(
     if full:
         parts.append(study.comparison.torque_table().as_text(full))
     parts.append(wrapped(study.comparison.verdict()) + "\n")
+    if study.rollouts:
+        parts.append(rollout_text(study.result.model, study.rollouts, full=full).lstrip("\n"))
+    if study.refined is not None:
+        parts.append(refined_text(study.refined))
     if payload is not None:
         parts.append(payload_text(payload, full) if full else payload_table(payload).as_text())
     return "\n".join(parts)
@@ -91,6 +96,9 @@ def study_document(
     }
     if study.cutoffs is not None:
         document["cutoff_sweep"] = study.cutoffs.as_document()
+    document = with_rollouts(document, study.rollouts)
+    if study.refined is not None:
+        document["refined"] = study.refined.as_dict()
     if payload is not None:
         document["payload"] = payload_document(payload)
     return document

@@ -1,0 +1,1 @@
+"""Simulated motion beside measured motion, and what fits it better."""

@@ -1,0 +1,69 @@
+"""What drives a simulation: commanded positions, held, or torques, interpolated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.experiment.recording import Recording
+
+DrivenBy = Literal["command", "torque"]
+
+BEYOND = 1e3
+"""Time [s] for which the first and the last value are held before and after the log."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveSignal:
+    """Hold a logged signal of n joints as a function of time.
+
+    Parameters
+    ----------
+    kind
+        A commanded position is held until the next one, a torque is interpolated.
+    t
+        Times [s], increasing, shape (K,).
+    values
+        Shape (K, n).
+    """
+
+    kind: DrivenBy
+    t: Array
+    values: Array
+
+    @classmethod
+    def of(cls, recording: Recording, kind: DrivenBy) -> DriveSignal:
+        """Return the command or torque of a recording, without samples that are not finite."""
+        logged = recording.tau if kind == "torque" else recording.command
+        if logged is None:
+            raise ValueError(f"{recording.source} has no {kind}")
+        there = np.isfinite(recording.t) & np.all(np.isfinite(logged), axis=1)
+        t, first = np.unique(recording.t[there], return_index=True)
+        return cls(kind, t, logged[there][first])
+
+    def means(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
+        """Return the mean of the delayed signal over each time step, shape (W, steps, n).
+
+        Step k of window w lasts from `starts[w] + k step` to `starts[w] + (k + 1) step`. For a
+        held signal the mean is exact, so it is continuous in the delay.
+        """
+        edges = starts[:, None] + step * np.arange(steps + 1) - delay
+        if self.kind == "torque":
+            middles = edges[:, :-1] + 0.5 * step
+            return np.stack([np.interp(middles, self.t, x) for x in self.values.T], axis=-1)
+        t = np.concatenate([[self.t[0] - BEYOND], self.t, [self.t[-1] + BEYOND]])
+        held = np.concatenate([self.values[:1], self.values])
+        sums = np.concatenate(
+            [np.zeros((1, held.shape[1])), np.cumsum(held * np.diff(t)[:, None], axis=0)]
+        )
+        integrals = np.stack([np.interp(edges, t, x) for x in sums.T], axis=-1)
+        return np.asarray(np.diff(integrals, axis=1) / step)
+
+    def slopes(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
+        """Return the derivative of `means` of a held signal by the delay, shape (W, steps, n)."""
+        edges = starts[:, None] + step * np.arange(steps + 1) - delay
+        at = np.clip(np.searchsorted(self.t, edges, side="right") - 1, 0, len(self.t) - 1)
+        return np.asarray(-np.diff(self.values[at], axis=1) / step)

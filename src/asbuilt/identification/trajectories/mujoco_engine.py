@@ -1,0 +1,220 @@
+"""Simulation of windows by MuJoCo, an engine independent of asbuilt's own dynamics."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import drive_torque
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.experiment.virtual.physics import Physics, mujoco_module
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
+
+AT_JOINTS = ("armature", "viscous", "coulomb", "offset")
+"""Drive terms that MuJoCo's joints have, or a constant torque."""
+AT_MOTORS = ("motor_armature", "motor_viscous", "motor_coulomb")
+"""Drive terms that a fixed tendon over the joints of a motor has."""
+DIVERGED = 1e4
+"""Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
+SLOWEST = 1e-9
+"""Speed at which the friction of a joint at rest is evaluated [rad/s or m/s]."""
+
+
+def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:
+    """Simulate windows from the measured state at their start.
+
+    Rigid bodies, armature, viscous and dry friction and the position servo are MuJoCo's, with
+    implicit damping. Terms that MuJoCo lacks are evaluated at each step: what opposes the motion
+    acts as dry friction, so that it holds the joint at rest too, the rest as a torque.
+
+    Returns
+    -------
+    Array
+        Positions at the samples of each window, shape (W, L, n); NaN after a divergence.
+
+    Raises
+    ------
+    MissingExtraError
+        If MuJoCo is not installed.
+    InertiaError
+        If the mass matrix of the robot is not positive definite.
+    """
+    engine = _Engine(robot, windows.step)
+    with engine.physics.quiet():
+        q, qd = (engine.in_threads if engine.native else engine.in_step)(windows)
+    every = windows.divisions
+    lost = np.maximum.accumulate(~np.all(np.isfinite(q) & (np.abs(qd) < DIVERGED), axis=2), axis=1)
+    q[lost] = np.nan
+    return np.concatenate([windows.start_q[:, None], q[:, every - 1 :: every]], axis=1)
+
+
+class _Engine:
+    """A compiled robot with its servo and drive terms."""
+
+    def __init__(self, robot: SimulatedRobot, step: float) -> None:
+        self.mujoco = mujoco_module("a rollout")
+        self.robot, n = robot, robot.model.n_joints
+        own = _values_by_key(robot)
+        plain = {key: own.get(key, np.zeros(n)) for key in AT_JOINTS}
+        self.offset = plain["offset"]
+        self.others = robot.drive.without(*AT_JOINTS, *AT_MOTORS)
+        self.other_values = _values_of(robot, self.others)
+        self.friction = plain["coulomb"]
+        self.native = not np.any(self.other_values) and not np.any(self.friction < 0.0)
+
+        def extend(spec: Any) -> None:
+            for k in np.flatnonzero(np.any(robot.model.motor_shares, axis=1)):
+                _add_motor(spec, robot, int(k), {key: own.get(key) for key in AT_MOTORS})
+            if robot.servo is not None:
+                _add_servo(self.mujoco, spec, robot)
+
+        self.physics = Physics(
+            robot.model,
+            armature=plain["armature"],
+            viscous=plain["viscous"],
+            coulomb=np.maximum(self.friction, 0.0),
+            timestep=step,
+            extend=extend,
+        )
+        self.compiled, self.order = self.physics.compiled, self.physics.order
+        option, bits = self.compiled.opt, self.mujoco.mjtDisableBit
+        option.timestep, option.integrator = step, self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        option.disableflags &= ~int(bits.mjDSBL_ACTUATION)
+        option.disableflags |= int(bits.mjDSBL_AUTORESET)
+
+    def in_threads(self, windows: Windows) -> tuple[Array, Array]:
+        """Return positions and velocities after every step, two (W, n_steps, n)."""
+        rollout, state = import_module("mujoco.rollout"), self.mujoco.mjtState
+        n, size = (
+            len(self.order),
+            self.mujoco.mj_stateSize(self.compiled, state.mjSTATE_FULLPHYSICS),
+        )
+        start = np.zeros((windows.n_windows, size))
+        start[:, 1 + self.order] = windows.start_q
+        start[:, 1 + n + self.order] = windows.start_qd
+        control = self._forces(windows.inputs(self.robot.delay))
+        data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
+        with rollout.Rollout(nthread=len(data)) as pool:
+            states, _ = pool.rollout(
+                self.compiled,
+                data,
+                start,
+                control,
+                control_spec=int(state.mjSTATE_CTRL | state.mjSTATE_QFRC_APPLIED),
+            )
+        return states[..., 1 + self.order], states[..., 1 + n + self.order]
+
+    def in_step(self, windows: Windows) -> tuple[Array, Array]:
+        """Return the same, all windows step by step, with the drive terms that MuJoCo lacks."""
+        forces = self._forces(windows.inputs(self.robot.delay))
+        n_controls = self.compiled.nu
+        runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
+        for run, q, qd in zip(runs, windows.start_q, windows.start_qd, strict=True):
+            run.qpos[self.order], run.qvel[self.order] = q, qd
+        shape = (windows.n_windows, windows.n_steps, len(self.order))
+        positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
+        q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)
+        for step in range(windows.n_steps):
+            added, dry = self._further(q, qd, qdd)
+            for w, run in enumerate(runs):
+                if not np.all(np.abs(qd[w]) < DIVERGED):
+                    continue
+                self.compiled.dof_frictionloss[self.order] = dry[w]
+                run.ctrl[:] = forces[w, step, :n_controls]
+                run.qfrc_applied[:] = forces[w, step, n_controls:]
+                run.qfrc_applied[self.order] -= added[w]
+                self.mujoco.mj_step(self.compiled, run)
+                q[w], qd[w], qdd[w] = (x[self.order] for x in (run.qpos, run.qvel, run.qacc))
+                positions[w, step], velocities[w, step] = q[w], qd[w]
+        return positions, velocities
+
+    def _forces(self, inputs: Array) -> Array:
+        """Return controls and generalised forces of every step."""
+        forces = np.zeros((*inputs.shape[:2], self.compiled.nu + len(self.order)))
+        applied = self.compiled.nu + self.order
+        forces[..., applied] = -self.offset
+        if self.robot.servo is None:
+            forces[..., applied] += inputs
+        else:
+            forces[..., : self.compiled.nu] = inputs
+        return forces
+
+    def _further(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+        """Return torque and dry friction of the terms that MuJoCo lacks, two (W, n)."""
+        model, sound = self.robot.model, np.where(np.abs(qd) < DIVERGED, qd, 0.0)
+        where, rest = np.where(np.isfinite(q), q, 0.0), np.zeros_like(q)
+        load = (
+            inverse_dynamics(model, where, sound, np.nan_to_num(qdd))
+            if self.others.needs_load
+            else None
+        )
+        ahead, back = (
+            drive_torque(
+                self.others,
+                self.other_values.reshape(-1),
+                where,
+                sign * np.maximum(np.abs(sound), SLOWEST),
+                rest,
+                load=load,
+                shares=model.motor_shares,
+            )
+            for sign in (1.0, -1.0)
+        )
+        odd = 0.5 * (ahead - back) + self.friction
+        return 0.5 * (ahead + back) + np.minimum(odd, 0.0) * np.sign(sound), np.maximum(odd, 0.0)
+
+
+def _values_by_key(robot: SimulatedRobot) -> dict[str, Array]:
+    """Return the values (n,) of the terms with one parameter, zero where a joint lacks them."""
+    found: dict[str, Array] = {}
+    place = 0
+    for term in robot.drive.terms:
+        if len(term.symbols) == 1:
+            there = [term.is_at(k) for k in range(robot.model.n_joints)]
+            found[term.key] = np.where(there, robot.values[:, place], 0.0)
+        place += len(term.symbols)
+    return found
+
+
+def _values_of(robot: SimulatedRobot, drive: DriveSet) -> Array:
+    """Return the columns of the values that belong to some terms of the robot."""
+    kept, place = list[int](), 0
+    for term in robot.drive.terms:
+        columns = range(place, place + len(term.symbols))
+        kept += [*columns] if term.key in drive.keys else []
+        place += len(term.symbols)
+    return robot.values[:, kept]
+
+
+def _add_motor(spec: Any, robot: SimulatedRobot, k: int, values: dict[str, Array | None]) -> None:
+    """Add a motor that several joints turn, as a fixed tendon."""
+    armature, viscous, coulomb = (0.0 if x is None else float(x[k]) for x in values.values())
+    tendon = spec.add_tendon(name=f"motor of {robot.model.joint_names[k]}")
+    for name, share in zip(robot.model.joint_names, robot.model.motor_shares[k], strict=True):
+        if share:
+            tendon.wrap_joint(name, share)
+    tendon.armature, tendon.frictionloss = armature, max(coulomb, 0.0)
+    tendon.damping[0] = viscous
+
+
+def _add_servo(mujoco: Any, spec: Any, robot: SimulatedRobot) -> None:
+    """Add the position actuators of a servo."""
+    for name, kp, kd, limit in zip(robot.model.joint_names, *robot.stiffness, strict=True):
+        actuator = spec.add_actuator(
+            name=f"servo of {name}",
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        )
+        actuator.gainprm[0] = kp
+        actuator.biasprm[:3] = [0.0, -kp, -kd]
+        if np.isfinite(limit):
+            actuator.forcelimited = True
+            actuator.forcerange = [-limit, limit]

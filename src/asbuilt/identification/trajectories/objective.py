@@ -1,0 +1,337 @@
+"""Least squares of trajectories, torques and CAD together, in coordinates of consistent robots."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.inertia import pseudo_inertias
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, smat, svec
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.trajectories.sensitivity import Motion, Trajectories
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
+
+DELAY_SCALE = 1e-3
+"""Unit of the delay in the coordinates [s]."""
+DRIVE_RIDGE = 1e-4
+"""Weight of drive parameters toward their start, which matters only if they are undetermined."""
+SERVO_SPREAD = np.array([1.0, 5.0])
+"""Prior standard deviation of the logarithm of a common stiffness, and of the delay [ms]."""
+
+MOSTLY = 0.5
+"""Share of its variance by prior and torque rows from which a parameter is left undetermined."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Point:
+    """Hold standard parameters (n_standard,), links and drives, and the servo."""
+
+    chi: Array
+    servo: PositionServo | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """Hold what the squared error of each joint (n,) and window counts, per set of windows."""
+
+    joints: Array
+    windows: tuple[Array, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quadratic:
+    """Hold cost, gradient (m,), matrix (m, m) and gradients window by window (W, m)."""
+
+    cost: float
+    gradient: Array
+    matrix: Array
+    scores: Array
+    data: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """Measure a point by trajectories, torque rows and distance from CAD.
+
+    The coordinates around a point are S_i of every link, `P_i = L_i exp(S_i) L_i^T` with L_i the
+    Cholesky factor of its pseudo-inertia, so that every link is physically consistent; drive
+    parameters; the logarithm of a common factor of all stiffnesses, if they are free; and the
+    delay, if it is free.
+
+    Attributes
+    ----------
+    trajectories, windows
+        What is simulated.
+    information, torque_weights
+        Torque rows, and the weight of the rows of each joint (n,), zero for none.
+    prior, belief
+        CAD, and the weight of the divergence from it.
+    start
+        Where drive and servo parameters stay if nothing determines them.
+    free_stiffness, free_delay
+        Whether the servo is fitted.
+    """
+
+    trajectories: Trajectories
+    windows: tuple[Windows, ...]
+    information: SquareRootInformation
+    torque_weights: Array
+    prior: CadPrior
+    belief: float
+    start: Point
+    free_stiffness: bool = False
+    free_delay: bool = False
+    linear_factors: tuple[Array, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        factors = tuple(
+            w * factor
+            for w, factor in zip(self.torque_weights, self.information.joint_factors, strict=True)
+        )
+        object.__setattr__(self, "linear_factors", factors)
+
+    @property
+    def n_links(self) -> int:
+        """Number of links."""
+        return self.prior.n_links
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return len(self.start.chi) + self.free_stiffness + self.free_delay
+
+    def robot(self, point: Point) -> SimulatedRobot:
+        """Return the robot of a point, the links of the description in place of its own."""
+        n = self.n_links
+        return SimulatedRobot(
+            self.trajectories.model,
+            self.trajectories.base.drive,
+            point.chi[10 * n :].reshape(n, -1),
+            point.servo,
+        )
+
+    def motions(self, point: Point) -> list[Motion]:
+        """Simulate all windows."""
+        robot, links = self.robot(point), point.chi[: 10 * self.n_links]
+        parts = [
+            (k, slice(a, b))
+            for k, cut in enumerate(self.windows)
+            for a, b in _shares(cut.n_windows)
+        ]
+
+        def one(part: tuple[int, slice]) -> Motion:
+            return self.trajectories.simulate(robot, self.windows[part[0]].some(part[1]), links)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            found = list(pool.map(one, parts))
+        return [
+            _joined([each for (at, _), each in zip(parts, found, strict=True) if at == k])
+            for k in range(len(self.windows))
+        ]
+
+    def errors(self, motions: Sequence[Motion]) -> list[Array]:
+        """Return measured minus simulated positions after the start, (W, L - 1, n) each."""
+        return [
+            cut.q[:, 1:] - motion.sampled(cut.divisions)[:, 1:]
+            for cut, motion in zip(self.windows, motions, strict=True)
+        ]
+
+    def cost(self, point: Point, motions: Sequence[Motion], weights: Weights) -> float:
+        """Return half the weighted squares of everything; infinite if a simulation diverges."""
+        total = 0.0
+        for error, of_window in zip(self.errors(motions), weights.windows, strict=True):
+            square = np.sum(error**2, axis=1) @ weights.joints
+            total += 0.5 * float(of_window @ square)
+        return total + self._other_cost(point) if np.isfinite(total) else np.inf
+
+    def _other_cost(self, point: Point) -> float:
+        _, rest = self._torque_rows(point)
+        distance = self.prior.strength @ self.prior.divergence(point.chi)
+        ridge = self._ridge()
+        moved = self._away(point)
+        return 0.5 * float(rest @ rest + self.belief * distance + ridge @ moved**2)
+
+    def quadratic(self, point: Point, motions: Sequence[Motion], weights: Weights) -> Quadratic:
+        """Return the quadratic model of the cost around a point."""
+        to_z = self._to_parameters(point)
+        H = np.zeros((to_z.shape[0], to_z.shape[0]))
+        g = np.zeros(to_z.shape[0])
+        scores = []
+        robot, links = self.robot(point), point.chi[: 10 * self.n_links]
+        errors = self.errors(motions)
+        for cut, motion, error, of_window in zip(
+            self.windows, motions, errors, weights.windows, strict=True
+        ):
+            score = np.zeros((cut.n_windows, to_z.shape[0]))
+            for branch, part, J in self.trajectories.derivatives(robot, cut, links, motion):
+                root = np.sqrt(of_window[part])[:, None, None] * np.sqrt(
+                    weights.joints[branch.joints]
+                )
+                Jw = (J * root[..., None]).reshape(len(J), -1, J.shape[-1])
+                ew = (error[part][..., branch.joints] * root).reshape(len(J), -1)
+                at = branch.parameters
+                flat = Jw.reshape(-1, Jw.shape[-1])
+                H[np.ix_(at, at)] += flat.T @ flat
+                score[part, at] += np.einsum("wrp,wr->wp", Jw, ew)
+            scores.append(score)
+        every = np.concatenate(scores)
+        g = -every.sum(axis=0)
+        data = to_z.T @ H @ to_z
+        matrix, gradient = data.copy(), to_z.T @ g
+        rows, rest = self._torque_rows(point)
+        A = rows @ to_z
+        matrix += A.T @ A
+        gradient += A.T @ rest
+        self._add_cad(point, gradient, matrix)
+        ridge, moved = self._ridge(), self._away(point)
+        gradient += ridge * moved
+        matrix[np.diag_indices(len(ridge))] += ridge
+        return Quadratic(self.cost(point, motions, weights), gradient, matrix, every @ to_z, data)
+
+    def moved(self, point: Point, step: Array) -> Point:
+        """Return the point at coordinates `step` (m,) from a point."""
+        n = self.n_links
+        L = np.linalg.cholesky(pseudo_inertias(point.chi[: 10 * n].reshape(n, 10)))
+        values, axes = np.linalg.eigh(smat(step[: 10 * n].reshape(n, 10)))
+        grown = (axes * np.exp(np.clip(values, -20.0, 20.0))[:, None]) @ axes.transpose(0, 2, 1)
+        P = L @ grown @ L.transpose(0, 2, 1)
+        chi = point.chi.copy()
+        chi[: 10 * n] = np.linalg.solve(_SVEC, svec(P).T).T.reshape(-1)
+        chi[10 * n :] += step[10 * n : len(chi)]
+        bounded = self.prior.non_negative
+        chi[bounded] = np.maximum(chi[bounded], 0.0)
+        servo, left = point.servo, list(step[len(chi) :])
+        if servo is not None and self.free_stiffness:
+            factor = float(np.exp(left.pop(0)))
+            servo = replace(servo, kp=tuple(factor * x for x in servo.kp))
+        if servo is not None and self.free_delay:
+            servo = replace(servo, delay=(servo.delay or 0.0) + DELAY_SCALE * left.pop(0))
+        return Point(chi, servo)
+
+    def at_bound(self, point: Point, gradient: Array) -> Mask:
+        """Return which coordinates lie at their bound with the descent beyond it, shape (m,)."""
+        held = np.zeros(self.size, dtype=np.bool_)
+        bounded = self.prior.non_negative
+        held[bounded] = (point.chi[bounded] <= 0.0) & (gradient[bounded] > 0.0)
+        return held
+
+    def covariance(self, point: Point, quadratic: Quadratic) -> Array:
+        """Return the covariance (p_z, p_z) of base and servo parameters at the minimum."""
+        to_z = self._to_parameters(point)
+        root = np.linalg.cholesky(quadratic.matrix)
+        spread = np.linalg.solve(root, to_z.T)
+        return np.asarray(spread.T @ spread)
+
+    def drive_errors(self, quadratic: Quadratic) -> Array:
+        """Return the standard errors (n, columns_per_joint) of the drive parameters."""
+        variance = np.diag(np.linalg.inv(quadratic.matrix))
+        of_drives = variance[10 * self.n_links : len(self.start.chi)]
+        return np.sqrt(of_drives).reshape(self.n_links, -1)
+
+    def undetermined(self, quadratic: Quadratic) -> tuple[str, ...]:
+        """Return the drive and servo parameters that the trajectories hardly determine."""
+        names = [*self.prior.names, *(["stiffness"] if self.free_stiffness else [])]
+        names += ["delay"] if self.free_delay else []
+        inverse = np.linalg.inv(quadratic.matrix)
+        held = np.diag(inverse @ (quadratic.matrix - quadratic.data) @ inverse) / np.diag(inverse)
+        drives = range(10 * self.n_links, self.size)
+        return tuple(names[k] for k in drives if held[k] > MOSTLY)
+
+    def _to_parameters(self, point: Point) -> Array:
+        """Return how base and servo parameters follow from the coordinates, (p_z, m)."""
+        n, p = self.n_links, self.trajectories.base.n_base
+        K = self.trajectories.base.regrouping
+        roots = np.linalg.inv(body_metric_root(point.chi[: 10 * n], np.ones(n)))
+        to_z = np.zeros((self.trajectories.n_parameters, self.size))
+        for i in range(n):
+            part = slice(10 * i, 10 * i + 10)
+            to_z[:p, part] = K[:, part] @ roots[i]
+        to_z[:p, 10 * n : len(point.chi)] = K[:, 10 * n :]
+        last = len(point.chi)
+        if self.free_stiffness and point.servo is not None:
+            to_z[p : p + n, last] = point.servo.kp
+            last += 1
+        if self.free_delay:
+            to_z[-1, last] = DELAY_SCALE
+        return to_z
+
+    def _torque_rows(self, point: Point) -> tuple[Array, Array]:
+        """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
+        base, n = self.trajectories.base, self.n_links
+        beta = base.regrouping @ point.chi
+        width = self.trajectories.n_parameters
+        rows, rest = [], []
+        for k, (support, factor) in enumerate(
+            zip(self.information.support, self.linear_factors, strict=True)
+        ):
+            scale = 1.0
+            row = np.zeros((len(factor), width))
+            row[:, support] = factor[:, :-1]
+            if point.servo is not None and self.start.servo is not None and self.free_stiffness:
+                scale = point.servo.kp[k] / self.start.servo.kp[k]
+                row[:, base.n_base + k] = -factor[:, -1] / self.start.servo.kp[k]
+            rows.append(row)
+            rest.append(factor[:, :-1] @ beta[support] - scale * factor[:, -1])
+        assert len(rows) == n
+        return np.concatenate(rows), np.concatenate(rest)
+
+    def _add_cad(self, point: Point, gradient: Array, matrix: Array) -> None:
+        """Add gradient and curvature of half the divergence of the links from CAD."""
+        n = self.n_links
+        L = np.linalg.cholesky(pseudo_inertias(point.chi[: 10 * n].reshape(n, 10)))
+        C = L.transpose(0, 2, 1) @ np.linalg.inv(self.prior.pseudo_inertias) @ L
+        basis = smat(np.eye(10))
+        for i in range(n):
+            part = slice(10 * i, 10 * i + 10)
+            weight = 0.5 * self.belief * self.prior.strength[i]
+            gradient[part] += weight * svec(C[i] - np.eye(4))
+            turned = np.einsum("ab,xbc,ycd->xyad", C[i], basis, basis)
+            curvature = np.einsum("xyaa->xy", turned)
+            matrix[part, part] += weight * 0.5 * (curvature + curvature.T)
+
+    def _ridge(self) -> Array:
+        """Return the weight (m,) of drive and servo parameters toward their start."""
+        ridge = np.zeros(self.size)
+        n = 10 * self.n_links
+        ridge[n : len(self.start.chi)] = DRIVE_RIDGE / self.prior.drive_scale**2
+        spread = SERVO_SPREAD[[self.free_stiffness, self.free_delay]]
+        ridge[len(self.start.chi) :] = 1.0 / spread**2
+        return ridge
+
+    def _away(self, point: Point) -> Array:
+        """Return the coordinates (m,) of drives and servo from the start, zero for links."""
+        away = np.zeros(self.size)
+        n = 10 * self.n_links
+        away[n : len(point.chi)] = point.chi[n:] - self.start.chi[n:]
+        last = len(point.chi)
+        if point.servo is not None and self.start.servo is not None:
+            if self.free_stiffness:
+                away[last] = np.log(point.servo.kp[0] / self.start.servo.kp[0])
+                last += 1
+            if self.free_delay:
+                late = (point.servo.delay or 0.0) - (self.start.servo.delay or 0.0)
+                away[last] = late / DELAY_SCALE
+        return away
+
+
+_SVEC = svec(pseudo_inertias(np.eye(10))).T
+
+
+def _shares(count: int) -> list[tuple[int, int]]:
+    """Return ranges of equal length, one per processor."""
+    edges = np.linspace(0, count, (os.cpu_count() or 1) + 1).astype(int)
+    return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
+
+
+def _joined(parts: Sequence[Motion]) -> Motion:
+    return Motion(
+        *(np.concatenate([getattr(part, x) for part in parts]) for x in ("q", "v", "a", "state"))
+    )

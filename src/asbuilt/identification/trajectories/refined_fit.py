@@ -1,0 +1,187 @@
+"""A fit to torques continued by a fit to trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
+from asbuilt.identification.identify import Fit
+from asbuilt.identification.trajectories.objective import Objective, Point
+from asbuilt.identification.trajectories.refinement import Refinement, refine
+from asbuilt.identification.trajectories.sensitivity import Trajectories
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
+
+SAME_SAMPLES = 0.01
+"""Weight of torque rows whose samples are simulated too, so that none counts twice; they decide
+where trajectories leave a direction open."""
+BELIEF = 10.0
+"""Weight of the divergence of links from CAD: about a third of a link, in every direction."""
+MOST_SECONDS = 60.0
+"""Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedFit:
+    """Hold a fit refined by trajectories.
+
+    Attributes
+    ----------
+    fit
+        The refined fit.
+    servo
+        The servo as refined.
+    start, robot
+        The robots before and after.
+    refinement
+        How the search ended.
+    value_errors
+        Standard errors of the drive parameters, shape (n, columns_per_joint).
+    undetermined
+        Drive and servo parameters that stay near the start.
+    delay_error, stiffness_error
+        Standard errors of the delay [s] and of the relative stiffness; NaN if not fitted.
+    """
+
+    fit: Fit
+    servo: PositionServo | None
+    start: SimulatedRobot
+    robot: SimulatedRobot
+    refinement: Refinement
+    value_errors: Array
+    undetermined: tuple[str, ...]
+    delay_error: float
+    stiffness_error: float
+
+
+def refine_fit(
+    fit: Fit,
+    windows: Sequence[Windows],
+    servo: PositionServo | None,
+    *,
+    free_stiffness: bool = False,
+    free_delay: bool = True,
+    belief: float = BELIEF,
+    begin: Array | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> RefinedFit:
+    """Continue a fit by trajectories of the windows.
+
+    Parameters
+    ----------
+    fit
+        The fit to torques.
+    windows
+        What to simulate, from the samples of the fit.
+    servo
+        The servo if a command drives the simulation, with all gains known or estimated.
+    free_stiffness
+        Whether a common factor of its stiffnesses is fitted.
+    free_delay
+        Whether its delay is fitted.
+    belief
+        Weight of the divergence of links from CAD.
+    begin
+        Standard parameters to begin with, (n_standard,); None: those of the fit.
+    progress
+        Called with the fraction done.
+    """
+    model, base = fit.model, fit.base
+    prior = cad_prior(model, base.drive)
+    linear = fit.estimate
+    if not isinstance(linear, ConsistentEstimate):
+        linear = fit_toward_cad(fit.information, prior)
+    chi = np.array(linear.standard)
+    chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
+    start = Point(chi, servo)
+    share = SAME_SAMPLES * fit.uncertainty.effective_samples / fit.information.n_samples
+    trajectories = Trajectories(model, base)
+    windows = _thinned(windows)
+    objective = Objective(
+        trajectories,
+        tuple(windows),
+        fit.information,
+        np.sqrt(share) / linear.sigma,
+        prior,
+        belief,
+        start,
+        free_stiffness and servo is not None,
+        free_delay and servo is not None,
+    )
+    found = refine(objective, start if begin is None else Point(begin, servo), progress=progress)
+    covariance = objective.covariance(found.point, found.quadratic)
+    p = base.n_base
+    beta = base.regrouping @ found.point.chi
+    open_names = objective.undetermined(found.quadratic)
+    estimate = replace(
+        linear,
+        beta=beta,
+        standard=found.point.chi,
+        covariance=covariance[:p, :p],
+        sigma=np.maximum(
+            np.sqrt(fit.information.residual_energy(beta) / fit.information.n_samples),
+            np.finfo(np.float64).tiny,
+        ),
+        notes=(*linear.notes, _note(found, windows)),
+        refit=None,
+    )
+    refined = replace(
+        fit,
+        estimate=estimate,
+        uncertainty=replace(fit.uncertainty, covariance=covariance[:p, :p]),
+        provenance=(*fit.provenance, _note(found, windows)),
+    )
+    built = SimulatedRobot(
+        model.with_parameters(found.point.chi[: 10 * model.n_joints]),
+        base.drive,
+        found.point.chi[10 * model.n_joints :].reshape(model.n_joints, -1),
+        found.point.servo,
+    )
+    before = SimulatedRobot(
+        model.with_parameters(chi[: 10 * model.n_joints]),
+        base.drive,
+        chi[10 * model.n_joints :].reshape(model.n_joints, -1),
+        servo,
+    )
+    n = model.n_joints
+    stiffness = np.nan
+    if objective.free_stiffness and servo is not None:
+        stiffness = float(np.sqrt(covariance[p, p])) / max(servo.kp[0], np.finfo(float).tiny)
+    return RefinedFit(
+        refined,
+        found.point.servo,
+        before,
+        built,
+        found,
+        objective.drive_errors(found.quadratic),
+        open_names,
+        float(np.sqrt(covariance[p + 2 * n, p + 2 * n])) if objective.free_delay else np.nan,
+        stiffness,
+    )
+
+
+def _thinned(windows: Sequence[Windows]) -> tuple[Windows, ...]:
+    """Return every k-th window, so that together they last `MOST_SECONDS`."""
+    total = sum(each.n_windows * each.horizon for each in windows)
+    every = max(1, int(np.ceil(total / MOST_SECONDS)))
+    count, chosen = 0, list[Windows]()
+    for each in windows:
+        at = np.arange((-count) % every, each.n_windows, every)
+        count += each.n_windows
+        if len(at):
+            chosen.append(each.some(at))
+    return tuple(chosen)
+
+
+def _note(found: Refinement, windows: Sequence[Windows]) -> str:
+    count = sum(each.n_windows for each in windows)
+    return (
+        f"Refined by trajectories: {count} windows of {windows[0].horizon:g} s simulated under the"
+        f" logged {windows[0].signal.kind}, {found.iterations} steps of Levenberg and Marquardt"
+    )

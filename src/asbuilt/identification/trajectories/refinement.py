@@ -1,0 +1,151 @@
+"""Refinement of parameters by trajectories: Levenberg and Marquardt over simulated windows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
+from asbuilt.identification.trajectories.sensitivity import Motion
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Say how the search goes: own choices, tested on real and virtual robots.
+
+    `rounds` of weights follow one another, each with at most `most` steps; a round ends when the
+    quadratic model promises to lower the cost by less than `settled`, in units of the logarithmic
+    likelihood. `damping` is the first relative damping.
+    Windows whose error is beyond `outlying` times the `usual` quantile count no more than if it
+    were that (a bounded influence, for contact and servo limits).
+    """
+
+    rounds: int = 3
+    most: int = 12
+    settled: float = 0.02
+    damping: float = 1e-3
+    strongest: float = 1e6
+    outlying: float = 3.0
+    usual: float = 0.75
+
+
+STEPS = Steps()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """Hold the refined point, its quadratic model, and how many steps it took."""
+
+    point: Point
+    quadratic: Quadratic
+    weights: Weights
+    motions: list[Motion]
+    iterations: int
+    costs: tuple[float, ...]
+
+
+def refine(
+    objective: Objective,
+    start: Point,
+    *,
+    steps: Steps = STEPS,
+    progress: Callable[[float], None] | None = None,
+) -> Refinement:
+    """Minimise the objective from a start."""
+    with one_blas_thread():
+        return _refined(objective, start, steps, progress)
+
+
+def _refined(
+    objective: Objective,
+    start: Point,
+    steps: Steps,
+    progress: Callable[[float], None] | None,
+) -> Refinement:
+    point, motions = start, objective.motions(start)
+    done, costs = 0, list[float]()
+    inflation = 1.0
+    for number in range(steps.rounds):
+        weights = weights_of(objective, motions, steps, inflation)
+        quadratic = objective.quadratic(point, motions, weights)
+        inflation *= _inflation(quadratic)
+        if number == 0:
+            weights = weights_of(objective, motions, steps, inflation)
+            quadratic = objective.quadratic(point, motions, weights)
+        damping = steps.damping
+        for _ in range(steps.most):
+            if _decrement(objective, point, quadratic) < steps.settled:
+                break
+            moved = _step(objective, point, quadratic, weights, damping, steps)
+            done += 1
+            if moved is None:
+                break
+            point, motions, damping = moved
+            quadratic = objective.quadratic(point, motions, weights)
+            costs.append(quadratic.cost)
+            if progress is not None:
+                progress((number + done / (steps.most * steps.rounds)) / steps.rounds)
+    return Refinement(point, quadratic, weights, motions, done, tuple(costs))
+
+
+def weights_of(
+    objective: Objective, motions: Sequence[Motion], steps: Steps, inflation: float
+) -> Weights:
+    """Return weights by the errors of the windows: of each joint, and less for outlying windows.
+
+    Errors along a window are correlated; `inflation` is by how much the variance of the gradient
+    exceeds that of independent errors.
+    """
+    errors = objective.errors(motions)
+    variance = np.concatenate([np.mean(error**2, axis=1) for error in errors])
+    typical = np.median(variance, axis=0) + np.finfo(float).tiny
+    size = [np.sqrt(np.mean(np.mean(error**2, axis=1) / typical, axis=1)) for error in errors]
+    usual = float(np.quantile(np.concatenate(size), steps.usual))
+    share = [
+        np.minimum(1.0, (steps.outlying * usual / np.maximum(each, 1e-300)) ** 2) for each in size
+    ]
+    kept = np.concatenate(share)
+    spread = np.average(variance, axis=0, weights=kept) + np.finfo(float).tiny
+    return Weights(1.0 / (spread * inflation), tuple(share))
+
+
+def _inflation(quadratic: Quadratic) -> float:
+    """Return by how much the scores of windows vary beyond their information, 1 or more."""
+    values, axes = np.linalg.eigh(quadratic.data)
+    there = values > 1e-9 * values[-1]
+    scores = quadratic.scores @ axes[:, there] / np.sqrt(values[there])
+    return max(1.0, float(np.mean(np.sum(scores**2, axis=0))))
+
+
+def _decrement(objective: Objective, point: Point, quadratic: Quadratic) -> float:
+    """Return by how much the cost would fall at the minimum of its quadratic model."""
+    free = np.flatnonzero(~objective.at_bound(point, quadratic.gradient))
+    H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
+    return 0.5 * float(g @ np.linalg.solve(H, g))
+
+
+def _step(
+    objective: Objective,
+    point: Point,
+    quadratic: Quadratic,
+    weights: Weights,
+    damping: float,
+    steps: Steps,
+) -> tuple[Point, list[Motion], float] | None:
+    """Return a better point, its motions and the next damping; None if there is none."""
+    held = objective.at_bound(point, quadratic.gradient)
+    free = np.flatnonzero(~held)
+    H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
+    scale = np.diag(H)
+    while damping < steps.strongest:
+        step = np.zeros(objective.size)
+        step[free] = -np.linalg.solve(H + damping * np.diag(scale), g)
+        tried = objective.moved(point, step)
+        motions = objective.motions(tried)
+        if objective.cost(tried, motions, weights) < quadratic.cost:
+            return tried, motions, damping / 5.0
+        damping *= 10.0
+    return None

@@ -1,0 +1,307 @@
+"""Simulated trajectories and their derivatives by base and servo parameters, branch by branch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.program import drive_program
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import drive_columns
+from asbuilt.dynamics.kernels.recursion import layout_of
+from asbuilt.dynamics.kernels.single_sample import work_size
+from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.stepping import (
+    SLOWEST,
+    sensitivities,
+    simulate,
+)
+from asbuilt.identification.trajectories.windows import Windows
+
+IN_MATRICES = ("armature", "viscous", "motor_armature", "motor_viscous")
+"""Drive terms that enter the equations of motion as constant matrices."""
+AT_ONCE = 3e7
+"""Numbers held at once by the derivatives of a chunk of windows."""
+SMALL = 1e-6
+"""Step of finite differences of drive terms [rad, rad/s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Hold the simulated motion of W windows at every step.
+
+    `q` and `v` have shape (W, S + 1, n), `a` and `state` (W, S, n), as `stepping.simulate` says.
+    """
+
+    q: Array
+    v: Array
+    a: Array
+    state: Array
+
+    def sampled(self, every: int) -> Array:
+        """Return the positions at the samples, the first included, shape (W, L, n)."""
+        return self.q[:, ::every]
+
+    def chunk(self, start: int, stop: int) -> Motion:
+        """Return some of the windows."""
+        return Motion(*(x[start:stop] for x in (self.q, self.v, self.a, self.state)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Branch:
+    """Name the joints (m,) of a branch and the parameters (p,) on which its motion depends.
+
+    Parameters are columns of `(base parameters, kp of each joint, kd of each joint, delay)`.
+    """
+
+    joints: Indices
+    parameters: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Simulate windows of a robot, and derive the motion by its parameters.
+
+    The parameters are its base parameters, then kp and kd of every joint, then the delay.
+    """
+
+    model: RobotModel
+    base: BaseParameters
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters."""
+        return self.base.n_base + 2 * self.model.n_joints + 1
+
+    @cached_property
+    def plan(self) -> RegressorPlan:
+        """The regressor columns of links among the base parameters."""
+        links = 10 * self.model.n_joints
+        return RegressorPlan.of(self.model, columns=self.base.columns[self.base.columns < links])
+
+    @cached_property
+    def branches(self) -> tuple[Branch, ...]:
+        """The branches of the robot, which move independently of each other."""
+        n, p = self.model.n_joints, self.base.n_base
+        roots = np.array([self.model.ancestors(k)[0] for k in range(n)])
+        links = 10 * n
+        per = max(self.base.drive.columns_per_joint, 1)
+        owner = np.where(
+            self.base.columns < links,
+            self.base.columns // 10,
+            (self.base.columns - links) // per,
+        )
+        found = []
+        for root in np.unique(roots):
+            joints = np.flatnonzero(roots == root)
+            own = np.flatnonzero(roots[owner] == root)
+            servo = [p + joints, p + n + joints, [p + 2 * n]]
+            found.append(Branch(joints, np.concatenate([own, *servo]).astype(np.int64)))
+        return tuple(found)
+
+    def simulate(self, robot: SimulatedRobot, windows: Windows, links: Array) -> Motion:
+        """Simulate windows; `links` (10 n,) are the inertial parameters, consistent or not."""
+        shape = (windows.n_windows, windows.n_steps, self.model.n_joints)
+        q, v = (np.empty((shape[0], shape[1] + 1, shape[2])) for _ in range(2))
+        q[:, 0], v[:, 0] = windows.start_q, windows.start_qd
+        a, state = np.empty(shape), np.empty(shape)
+        codes, program, numbers = self._program(robot, links)
+        simulate(
+            codes,
+            program,
+            numbers,
+            *_matrices(robot),
+            *robot.stiffness,
+            windows.signal.kind == "command",
+            np.ascontiguousarray(windows.inputs(robot.delay)),
+            windows.step,
+            q,
+            v,
+            a,
+            state,
+        )
+        return Motion(q, v, a, state)
+
+    def derivatives(
+        self, robot: SimulatedRobot, windows: Windows, links: Array, motion: Motion
+    ) -> Iterator[tuple[Branch, slice, Array]]:
+        """Yield for each branch and chunk of windows the derivatives of the positions.
+
+        Shape (windows, L - 1, m, p), at the samples after the start.
+        """
+        n, most = self.model.n_joints, max(len(each.parameters) for each in self.branches)
+        size = windows.n_steps * n * (3 * n + most)
+        chunk = max(1, int(AT_ONCE / size))
+        for start in range(0, windows.n_windows, chunk):
+            part = slice(start, min(start + chunk, windows.n_windows))
+            yield from (
+                (branch, part, found)
+                for branch, found in self._chunk(
+                    robot, windows.some(part), links, motion.chunk(part.start, part.stop)
+                )
+            )
+
+    def _chunk(
+        self, robot: SimulatedRobot, windows: Windows, links: Array, motion: Motion
+    ) -> Iterator[tuple[Branch, Array]]:
+        n, shape = self.model.n_joints, motion.a.shape
+        q, v, a = (
+            np.nan_to_num(x).reshape(-1, n) for x in (motion.q[:, :-1], motion.v[:, :-1], motion.a)
+        )
+        after = np.nan_to_num(motion.v[:, 1:]).reshape(-1, n)
+        slopes = torque_derivatives(self.model, q, v, a, links[None])[:, 0]
+        by_q, by_v = np.ascontiguousarray(slopes[..., 0]), np.ascontiguousarray(slopes[..., 1])
+        mass = np.ascontiguousarray(slopes[..., 2])
+        sign = np.sign(motion.state - np.where(motion.state > 2.0, 4.0, 0.0)).reshape(-1, n)
+        others = robot.drive.without(*IN_MATRICES)
+        _add_drive_slopes(robot, others, q, v, sign, by_q, by_v)
+        rows = self.plan.evaluate(q, v, a)
+        drive = _drive_rows(robot, q, v, after, a, sign)
+        rotors, damping = _matrices(robot)
+        kp, kd, _ = robot.stiffness
+        servo = windows.signal.kind == "command"
+        inputs = windows.inputs(robot.delay).reshape(-1, n)
+        late = (
+            windows.signal.slopes(windows.starts, windows.n_steps, windows.step, robot.delay)
+            if servo
+            else np.zeros(shape)
+        ).reshape(-1, n)
+        free = (motion.state < 2.0).reshape(-1, n)
+        links_in_base = np.flatnonzero(self.base.columns < 10 * n)
+        for branch in self.branches:
+            columns = np.zeros((len(q), len(branch.joints), len(branch.parameters)))
+            place = np.full(self.n_parameters, -1)
+            place[branch.parameters] = np.arange(len(branch.parameters))
+            for i, k in enumerate(branch.joints.tolist()):
+                lo, hi = self.plan.bounds[k]
+                columns[:, i, place[links_in_base[self.plan.support[k]]]] = rows[k][: hi - lo].T
+                for c, number in self._drive_columns(k):
+                    columns[:, i, place[number]] = drive[k][c]
+                if servo:
+                    p = self.base.n_base
+                    columns[:, i, place[p + k]] = -(inputs[:, k] - q[:, k]) * free[:, k]
+                    columns[:, i, place[p + n + k]] = after[:, k] * free[:, k]
+                    columns[:, i, place[p + 2 * n]] = -kp[k] * late[:, k] * free[:, k]
+            every = windows.divisions
+            out = np.empty((shape[0], shape[1] // every, *columns.shape[1:]))
+            four = (*shape[:2], n, n)
+            sensitivities(
+                branch.joints,
+                by_q.reshape(four),
+                by_v.reshape(four),
+                mass.reshape(four),
+                rotors,
+                damping,
+                kp if servo else np.zeros(n),
+                kd if servo else np.zeros(n),
+                motion.state,
+                columns.reshape(*shape[:2], *columns.shape[1:]),
+                windows.step,
+                every,
+                out,
+            )
+            yield branch, out
+
+    def _drive_columns(self, k: int) -> list[tuple[int, int]]:
+        """Return column of the drive terms and place among the base parameters, for joint k."""
+        per, first = self.base.drive.columns_per_joint, 10 * self.model.n_joints
+        return [
+            (int(column - first - k * per), place)
+            for place, column in enumerate(self.base.columns.tolist())
+            if per and first + k * per <= column < first + (k + 1) * per
+        ]
+
+    def _program(self, robot: SimulatedRobot, links: Array) -> tuple[Indices, Indices, Array]:
+        """Return codes of the links, codes with the drive program, and numbers."""
+        layout, n = layout_of(self.model), self.model.n_joints
+        others = robot.drive.without(*IN_MATRICES)
+        program, constants = drive_program(
+            others, _columns(robot, others.keys).reshape(-1), self.model.motor_shares
+        )
+        codes = layout.codes.ravel().copy()
+        numbers = [
+            np.hstack([layout.placements, links.reshape(n, 10)]).ravel(),
+            layout.gravity,
+            constants,
+            np.zeros(work_size(n)),
+        ]
+        return codes, np.concatenate([codes, program.ravel()]), np.concatenate(numbers)
+
+
+def _columns(robot: SimulatedRobot, keys: tuple[str, ...]) -> Array:
+    """Return the columns of the drive values that belong to some terms, shape (n, columns)."""
+    of = [key for term in robot.drive.terms for key in [term.key] * len(term.symbols)]
+    return robot.values[:, [c for c, key in enumerate(of) if key in keys]]
+
+
+def _matrices(robot: SimulatedRobot) -> tuple[Array, Array]:
+    """Return armatures and dampings of the drives as matrices (n, n)."""
+    T, n = robot.model.motor_shares, robot.model.n_joints
+    made = []
+    for key in ("armature", "viscous"):
+        matrix = np.zeros((n, n))
+        for term in robot.drive.terms:
+            own = _columns(robot, (term.key,))
+            there = np.array([term.is_at(k) for k in range(n)])
+            if term.key == key:
+                matrix += np.diag(np.where(there, own[:, 0], 0.0))
+            elif term.key == f"motor_{key}":
+                matrix += T.T @ np.diag(own[:, 0]) @ T
+        made.append(matrix)
+    return made[0], made[1]
+
+
+def _drive_rows(
+    robot: SimulatedRobot, q: Array, v: Array, after: Array, a: Array, sign: Array
+) -> list[Array]:
+    """Return the torque of unit drive parameters of every joint, shape (columns, N) each."""
+    shares, drive = robot.model.motor_shares, robot.drive
+    away = np.maximum(np.abs(v), SLOWEST)
+    load = np.zeros_like(q) if drive.needs_load else None
+    if load is not None:
+        load = inverse_dynamics(robot.model, q, v, np.zeros_like(q))
+    of = [term.key for term in drive.terms for _ in term.symbols]
+    found = []
+    for k in range(q.shape[1]):
+        ahead, back = (
+            drive_columns(drive, k, q, s * away, np.zeros_like(q), load=load, shares=shares)
+            for s in (1.0, -1.0)
+        )
+        rows = 0.5 * (ahead + back) + sign[:, k] * 0.5 * (ahead - back)
+        plain = drive_columns(drive, k, q, after, a, load=load, shares=shares)
+        matrix = np.array([key in IN_MATRICES for key in of])
+        rows[matrix] = plain[matrix]
+        found.append(rows)
+    return found
+
+
+def _add_drive_slopes(
+    robot: SimulatedRobot,
+    others: DriveSet,
+    q: Array,
+    v: Array,
+    sign: Array,
+    by_q: Array,
+    by_v: Array,
+) -> None:
+    """Add the derivatives of the drive torques by position and velocity, joint by joint."""
+    if not others or set(others.keys) <= {"coulomb", "offset"}:
+        return
+    values = _columns(robot, others.keys)
+    part = replace(robot, drive=others, values=values)
+    for out, moves in ((by_q, (SMALL, 0.0)), (by_v, (0.0, SMALL))):
+        two = []
+        for s in (1.0, -1.0):
+            rows = _drive_rows(part, q + s * moves[0], v + s * moves[1], v, np.zeros_like(q), sign)
+            two.append(np.stack([values[k] @ rows[k] for k in range(q.shape[1])], axis=1))
+        at = np.arange(q.shape[1])
+        out[:, at, at] += (two[0] - two[1]) / (2.0 * SMALL)

@@ -1,0 +1,74 @@
+"""The robot that a simulation moves: links, drive terms and position servo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
+from asbuilt.identification.result.result import IdentificationResult
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedRobot:
+    """Hold a robot with n joints as a simulation needs it.
+
+    Attributes
+    ----------
+    model
+        The robot with the inertial parameters to simulate.
+    drive
+        Its drive terms.
+    values
+        Their parameters joint by joint, shape (n, columns_per_joint).
+    servo
+        The servo that follows a command; None if torques drive the robot.
+    """
+
+    model: RobotModel
+    drive: DriveSet
+    values: Array
+    servo: PositionServo | None = None
+
+    @property
+    def stiffness(self) -> tuple[Array, Array, Array]:
+        """Gains kp, kd and torque limit of the servo, three (n,); unknown gains are zero."""
+        if self.servo is None:
+            n = self.model.n_joints
+            return np.zeros(n), np.zeros(n), np.full(n, np.inf)
+        kp, kd = (np.nan_to_num(np.array(x)) for x in (self.servo.kp, self.servo.kd))
+        return kp, kd, np.array(self.servo.torque_limit)
+
+    @property
+    def delay(self) -> float:
+        """Delay of the servo [s]."""
+        return (self.servo.delay or 0.0) if self.servo is not None else 0.0
+
+    def with_servo(self, servo: PositionServo | None) -> SimulatedRobot:
+        """Return the robot with another servo."""
+        return replace(self, servo=servo)
+
+
+def robot_as_built(
+    result: IdentificationResult, servo: PositionServo | None = None
+) -> SimulatedRobot:
+    """Return the robot with the standard parameters closest to CAD that a result supports."""
+    chi, n = as_built_parameters(result).parameters, result.model.n_joints
+    return SimulatedRobot(
+        result.model.with_parameters(chi[: 10 * n]),
+        result.base.drive,
+        chi[10 * n :].reshape(n, -1),
+        servo,
+    )
+
+
+def robot_as_described(model: RobotModel, servo: PositionServo | None = None) -> SimulatedRobot:
+    """Return the robot with the inertias, drive terms and values of its description."""
+    drive, values = described_drive(model)
+    return SimulatedRobot(model, drive, values.reshape(model.n_joints, -1), servo)

@@ -1,0 +1,261 @@
+"""Compiled time steps of a robot under its servo, and their derivatives by parameters.
+
+One step solves `(M + E + h (D + Kd)) a + b(q, v) + D v + even(q, v) + f = servo(q, v)` for the
+acceleration a, with `v' = v + h a`, `q' = q + h v'`. E and D are the armatures and dampings of the
+drives, b the torques of the rigid bodies without acceleration, even and odd the parts of all other
+drive terms that do not and do change sign with the velocity. The odd part is dry friction: f has
+the sign of v' and the size of odd, or is what holds the joint at rest, if that is less (Moreau's
+time stepping, solved by Gauss and Seidel). These are the steps of MuJoCo's `implicitfast` with
+rigid dry friction.
+"""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.operations import STACK
+from asbuilt.dynamics.kernels.single_sample import CODES, PER_LINK, mass_matrix, torque
+from asbuilt.dynamics.kernels.stack_machine import run
+
+SLOWEST = 1e-9
+"""Speed at which the friction of a joint at rest is evaluated [rad/s or m/s]."""
+ROUNDS = 60
+"""Most rounds of the friction solver."""
+SETTLED = 1e-12
+"""Change of the friction impulses, relative to the largest, at which it stops."""
+LOST = 1e4
+"""Velocity from which a simulation counts as diverged."""
+
+
+@compiled
+def factored(A, n):
+    """Write the lower Cholesky factor over A; return False if A is not positive definite."""
+    for j in range(n):
+        for k in range(j):
+            A[j, j] -= A[j, k] * A[j, k]
+        if not A[j, j] > 0.0:
+            return False
+        A[j, j] = np.sqrt(A[j, j])
+        for i in range(j + 1, n):
+            for k in range(j):
+                A[i, j] -= A[i, k] * A[j, k]
+            A[i, j] /= A[j, j]
+    return True
+
+
+@compiled
+def solved(L, x, n):
+    """Overwrite x by the solution of `L L^T y = x`."""
+    for i in range(n):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+
+
+@compiled
+def _split_drive(program, n, numbers, q, v, load, away, zero, stack, even, odd):
+    """Write the parts of the drive torques that do not and do change sign with the velocity."""
+    even[:], odd[:] = 0.0, 0.0
+    if program.size == CODES * n:
+        return
+    constants = PER_LINK * n + 3
+    for k in range(n):
+        away[k] = max(abs(v[k]), SLOWEST)
+    run(program, CODES * n, numbers, constants, q, away, zero, load, stack, even)
+    for k in range(n):
+        away[k] = -away[k]
+    run(program, CODES * n, numbers, constants, q, away, zero, load, stack, odd)
+    for k in range(n):
+        ahead, back = even[k], odd[k]
+        even[k], odd[k] = 0.5 * (ahead + back), 0.5 * (ahead - back)
+
+
+@compiled
+def _rubbed(L, h, odd, friction, v, W, column, n):
+    """Change free velocities v to those under dry friction, whose impulses are kept."""
+    for j in range(n):
+        column[:] = 0.0
+        column[j] = 1.0
+        solved(L, column, n)
+        W[j] = column
+    largest = 0.0
+    for j in range(n):
+        bound = h * max(odd[j], 0.0)
+        friction[j] = min(max(friction[j], -bound), bound)
+        largest = max(largest, bound)
+        for i in range(n):
+            v[i] -= W[i, j] * friction[j]
+    if largest == 0.0:
+        return
+    for _ in range(ROUNDS):
+        change = 0.0
+        for j in range(n):
+            bound = h * max(odd[j], 0.0)
+            if bound == 0.0:
+                continue
+            new = min(max(friction[j] + v[j] / W[j, j], -bound), bound)
+            moved = new - friction[j]
+            if moved != 0.0:
+                friction[j] = new
+                change = max(change, abs(moved))
+                for i in range(n):
+                    v[i] -= W[i, j] * moved
+        if change <= SETTLED * largest:
+            break
+
+
+@compiled
+def simulate(
+    codes, program, numbers, rotors, damping, kp, kd, limit, by_command, inputs, h, q, v, a, state
+):
+    """Simulate windows; `q[w, 0]` and `v[w, 0]` are their initial states.
+
+    `inputs` (W, S, n), `q` and `v` (W, S + 1, n), `a` (W, S, n); `state` (W, S, n) becomes 1 and
+    -1 for joints that dry friction brakes, 0 for those that it holds; 4 is added for those at the
+    torque limit of the servo. `rotors` and `damping` are (n, n).
+    """
+    n, windows, steps = kp.size, inputs.shape[0], inputs.shape[1]
+    bias, even, odd, zero = np.empty(n), np.empty(n), np.empty(n), np.zeros(n)
+    away, friction, stack = np.empty(n), np.empty(n), np.empty(STACK)
+    M, W, column, tau = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
+    position, rate, free = np.empty(n), np.empty(n), np.empty(n)
+    full = np.empty(n, dtype=np.bool_)
+    for w in range(windows):
+        friction[:] = 0.0
+        alive = True
+        for s in range(steps):
+            if not alive:
+                q[w, s + 1], v[w, s + 1], a[w, s], state[w, s] = np.nan, np.nan, 0.0, 1.0
+                continue
+            for k in range(n):
+                position[k], rate[k] = q[w, s, k], v[w, s, k]
+            M[:] = 0.0
+            alive = mass_matrix(codes, numbers, position, M) and torque(
+                codes, numbers, position, rate, zero, bias
+            )
+            _split_drive(program, n, numbers, position, rate, bias, away, zero, stack, even, odd)
+            for k in range(n):
+                full[k] = False
+                tau[k] = inputs[w, s, k]
+                if by_command:
+                    tau[k] = kp[k] * (inputs[w, s, k] - position[k]) - kd[k] * rate[k]
+                    if abs(tau[k]) > limit[k]:
+                        full[k] = True
+                        tau[k] = limit[k] if tau[k] > 0.0 else -limit[k]
+                free[k] = tau[k] - bias[k] - even[k]
+            for k in range(n):
+                for j in range(n):
+                    free[k] -= damping[k, j] * rate[j]
+                    M[k, j] += rotors[k, j] + h * damping[k, j]
+                if by_command and not full[k]:
+                    M[k, k] += h * kd[k]
+            alive = alive and factored(M, n)
+            if alive:
+                solved(M, free, n)
+                for k in range(n):
+                    free[k] = rate[k] + h * free[k]
+                _rubbed(M, h, odd, friction, free, W, column, n)
+            for k in range(n):
+                alive = alive and abs(free[k]) < LOST
+            for k in range(n):
+                held = odd[k] > 0.0 and abs(friction[k]) < h * odd[k]
+                if held:
+                    free[k] = 0.0
+                v[w, s + 1, k] = free[k] if alive else np.nan
+                q[w, s + 1, k] = position[k] + h * free[k] if alive else np.nan
+                a[w, s, k] = (free[k] - rate[k]) / h if alive else 0.0
+                sign = 0.0 if held else 1.0 if friction[k] > 0.0 else -1.0
+                if odd[k] <= 0.0:
+                    sign = 1.0 if free[k] > 0.0 else -1.0
+                state[w, s, k] = sign + (4.0 if full[k] else 0.0)
+
+
+@compiled
+def sensitivities(
+    joints, by_position, by_velocity, masses, rotors, damping, kp, kd, state, columns, h, every, out
+):
+    """Write how the positions of a branch at the samples depend on its parameters.
+
+    Parameters
+    ----------
+    joints
+        Joints of the branch (m,), which no other joints move.
+    by_position, by_velocity, masses
+        Derivatives of the torques by state and acceleration, drives and servo left out, shapes
+        (W, S, n, n).
+    state
+        Of `simulate`.
+    columns
+        Torques of unit parameters (W, S, m, p), servo parameters with the opposite sign.
+    h, every
+        Step, and steps per sample.
+    out
+        Shape (W, S // every, m, p).
+    """
+    m, p = joints.size, columns.shape[3]
+    windows, steps = columns.shape[0], columns.shape[1]
+    A, place = np.empty((m, m)), np.empty(m, dtype=np.int64)
+    dq, dv, right = np.empty((m, p)), np.empty((m, p)), np.empty((m, p))
+    for w in range(windows):
+        dq[:], dv[:] = 0.0, 0.0
+        for s in range(steps):
+            moving = 0
+            for i in range(m):
+                if state[w, s, joints[i]] != 0.0 and state[w, s, joints[i]] != 4.0:
+                    place[moving] = i
+                    moving += 1
+            for x in range(moving):
+                i = place[x]
+                k = joints[i]
+                bounded = state[w, s, k] > 2.0
+                for c in range(p):
+                    right[x, c] = -columns[w, s, i, c]
+                for j in range(m):
+                    r = joints[j]
+                    G, C = by_position[w, s, k, r], by_velocity[w, s, k, r] + damping[k, r]
+                    if i == j and not bounded:
+                        G, C = G + kp[k], C + kd[k]
+                    for c in range(p):
+                        right[x, c] -= G * dq[j, c] + C * dv[j, c]
+                for y in range(moving):
+                    r = joints[place[y]]
+                    A[x, y] = masses[w, s, k, r] + rotors[k, r] + h * damping[k, r]
+                if not bounded:
+                    A[x, x] += h * kd[k]
+            # a joint that comes to rest loses its change of velocity to friction
+            for i in range(m):
+                k = joints[i]
+                if state[w, s, k] == 0.0 or state[w, s, k] == 4.0:
+                    for x in range(moving):
+                        r = joints[place[x]]
+                        coupling = (masses[w, s, r, k] + rotors[r, k] + h * damping[r, k]) / h
+                        for c in range(p):
+                            right[x, c] += coupling * dv[i, c]
+                    for c in range(p):
+                        dv[i, c] = 0.0
+            if factored(A, moving):
+                for x in range(moving):
+                    for c in range(p):
+                        for k in range(x):
+                            right[x, c] -= A[x, k] * right[k, c]
+                        right[x, c] /= A[x, x]
+                for x in range(moving - 1, -1, -1):
+                    for c in range(p):
+                        for k in range(x + 1, moving):
+                            right[x, c] -= A[k, x] * right[k, c]
+                        right[x, c] /= A[x, x]
+                for x in range(moving):
+                    for c in range(p):
+                        dv[place[x], c] += h * right[x, c]
+            for i in range(m):
+                for c in range(p):
+                    dq[i, c] += h * dv[i, c]
+            if (s + 1) % every == 0:
+                out[w, (s + 1) // every - 1] = dq

@@ -1,0 +1,184 @@
+"""Windows of a recording in which its motion is simulated from the measured state."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure
+from asbuilt.identification.trajectories.drive_signal import DrivenBy, DriveSignal
+
+FEWEST = 3
+"""Fewest samples of a window: the state at its start and two to compare."""
+LONGEST_STEP = 1e-3
+"""Longest step of a simulation [s]; a period of the log is divided into equal steps."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Hold W windows of L samples of n joints, one after another.
+
+    Attributes
+    ----------
+    source
+        Name of the recording.
+    horizon
+        Length of a window [s].
+    rate
+        Sampling rate [Hz].
+    starts
+        Time of the first sample of each window [s], shape (W,).
+    q
+        Measured positions, unfiltered, shape (W, L, n).
+    start_q, start_qd
+        Measured state at the start, filtered, shape (W, n).
+    signal
+        What drives the simulation.
+    longest_step
+        Longest step of the simulation [s].
+    """
+
+    source: str
+    horizon: float
+    rate: float
+    starts: Array
+    q: Array
+    start_q: Array
+    start_qd: Array
+    signal: DriveSignal
+    longest_step: float = LONGEST_STEP
+
+    @property
+    def n_windows(self) -> int:
+        """Number of windows."""
+        return len(self.starts)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples in each window, the first included."""
+        return int(self.q.shape[1])
+
+    @property
+    def times(self) -> Array:
+        """Times of the samples since the start of the window [s], shape (L,)."""
+        return np.arange(self.n_samples) / self.rate
+
+    @property
+    def divisions(self) -> int:
+        """Number of simulation steps per sample."""
+        return max(1, math.ceil(1.0 / (self.rate * self.longest_step) - 1e-9))
+
+    @property
+    def step(self) -> float:
+        """Step of the simulation [s]."""
+        return 1.0 / (self.rate * self.divisions)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of simulation steps of a window."""
+        return self.divisions * (self.n_samples - 1)
+
+    def some(self, part: slice | Indices) -> Windows:
+        """Return some of the windows."""
+        return replace(
+            self,
+            starts=self.starts[part],
+            q=self.q[part],
+            start_q=self.start_q[part],
+            start_qd=self.start_qd[part],
+        )
+
+    def inputs(self, delay: float = 0.0) -> Array:
+        """Return the mean of the delayed signal over each simulation step, (W, n_steps, n)."""
+        return self.signal.means(self.starts, self.n_steps, self.step, delay)
+
+
+def driving_signal(recording: Recording) -> DriveSignal:
+    """Return what drives a simulation of a recording: its command if it has one and a servo.
+
+    Raises
+    ------
+    RecordingError
+        If it has neither a command nor a torque.
+    """
+    kind: DrivenBy = "torque"
+    if recording.command is not None and recording.torque_source == "command":
+        kind = "command"
+    elif not np.any(np.isfinite(recording.tau)):
+        raise RecordingError(
+            f"{recording.source} has neither torque nor the command of a position servo, so there"
+            " is nothing to simulate its motion with",
+            cure=Cure("name the command column", settings={"torque_source": "command"}),
+            file=recording.source,
+        )
+    return DriveSignal.of(recording, kind)
+
+
+def cut_windows(
+    recording: Recording, samples: Samples, horizon: float, signal: DriveSignal | None = None
+) -> Windows:
+    """Cut the segments of samples into windows, one after another; what is left over is dropped.
+
+    Parameters
+    ----------
+    recording
+        The recording as logged.
+    samples
+        Its filtered motion, as far as it may be simulated.
+    horizon
+        Length of a window [s].
+    signal
+        What drives the simulation; None: `driving_signal`.
+
+    Raises
+    ------
+    UsageError
+        If the horizon is shorter than three samples.
+    RecordingError
+        If no segment is as long as the horizon.
+    """
+    length = round(horizon * samples.rate) if np.isfinite(horizon) else 0
+    if length < FEWEST:
+        raise UsageError(
+            f"a rollout of {horizon:g} s has {max(length, 0)} samples at {samples.rate:.4g} Hz; it"
+            f" needs {FEWEST}",
+            value=horizon,
+            lower=FEWEST / samples.rate,
+        )
+    first = [
+        start for begin, end in samples.segments for start in range(begin, end - length + 1, length)
+    ]
+    if not first:
+        longest = max((b - a) / samples.rate for a, b in samples.segments)
+        raise RecordingError(
+            f"{samples.source}: no segment is as long as a rollout of {horizon:g} s; the longest"
+            f" lasts {longest:.3g} s",
+            cure=Cure("give a shorter horizon, or hold out longer blocks"),
+            file=samples.source,
+            value=longest,
+            lower=horizon,
+        )
+    at = np.array(first)[:, None] + np.arange(length)
+    return Windows(
+        samples.source,
+        horizon,
+        samples.rate,
+        samples.t[first],
+        _measured(recording, samples.t)[at],
+        samples.q[first],
+        samples.qd[first],
+        signal or driving_signal(recording),
+    )
+
+
+def _measured(recording: Recording, t: Array) -> Array:
+    """Return the logged positions at times (N,), interpolated, shape (N, n)."""
+    there = np.isfinite(recording.t) & np.all(np.isfinite(recording.q), axis=1)
+    times, first = np.unique(recording.t[there], return_index=True)
+    return np.stack([np.interp(t, times, x) for x in recording.q[there][first].T], axis=1)

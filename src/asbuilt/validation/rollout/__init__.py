@@ -1,0 +1,1 @@
+"""Simulated motion against measured motion."""

@@ -1,0 +1,100 @@
+"""Errors of simulated positions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.errors import UsageError
+from asbuilt.identification.calibration.payload import payload_frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RolloutErrors:
+    """Hold position errors of simulated windows, in rad or m; NaN if a window diverged.
+
+    Attributes
+    ----------
+    rms
+        Of each joint, over all samples after the start of all windows, shape (n,).
+    rms_all
+        Of all joints together.
+    final
+        Of each joint at the end of the windows, shape (n,).
+    tool
+        Root mean square distance [m] between measured and simulated tool at the end of the
+        windows; None if the robot has several ends or none.
+    diverged
+        Number of windows in which the simulation diverged.
+    """
+
+    rms: Array
+    rms_all: float
+    final: Array
+    tool: float | None = None
+    diverged: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain numbers, None for what is not finite."""
+        return {
+            "rms": [_plain(x) for x in self.rms],
+            "rms_all": _plain(self.rms_all),
+            "final": [_plain(x) for x in self.final],
+            "tool": None if self.tool is None else _plain(self.tool),
+            "diverged": self.diverged,
+        }
+
+
+def rollout_errors(
+    model: RobotModel, measured: Sequence[Array], simulated: Sequence[Array]
+) -> RolloutErrors:
+    """Compare simulated with measured positions of windows.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    measured, simulated
+        Positions of the windows of each recording, shapes (W, L, n).
+    """
+    error = np.concatenate(
+        [(b - a)[:, 1:].reshape(-1, a.shape[2]) for a, b in zip(measured, simulated, strict=True)]
+    )
+    ends = [np.concatenate([x[:, -1] for x in each]) for each in (measured, simulated)]
+    return RolloutErrors(
+        np.sqrt(np.mean(error**2, axis=0)),
+        float(np.sqrt(np.mean(error**2))),
+        np.sqrt(np.mean((ends[1] - ends[0]) ** 2, axis=0)),
+        _tool_distance(model, *ends),
+        int(sum(np.sum(_lost(each)) for each in simulated)),
+    )
+
+
+def _lost(q: Array) -> Mask:
+    """Whether each window (W, L, n) diverged, shape (W,)."""
+    return np.asarray(~np.all(np.isfinite(q), axis=(1, 2)))
+
+
+def _tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
+    """Return the root mean square distance [m] between the tools of two poses (W, n)."""
+    if len(set(range(model.n_joints)) - set(model.parents)) != 1:
+        return None
+    try:
+        _, link, placement = payload_frame(model)
+    except UsageError:
+        return None
+    there = np.all(np.isfinite(simulated), axis=1)
+    if not there.all():
+        return np.nan
+    places = [(link_poses(model, q)[:, link] @ placement)[:, :3, 3] for q in (measured, simulated)]
+    return float(np.sqrt(np.mean(np.sum((places[1] - places[0]) ** 2, axis=1))))
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,92 @@
+"""What a rollout is compared with: repetitions of a command, and the command without physics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.spatial import KDTree
+
+from asbuilt.arrays import Array
+from asbuilt.identification.trajectories.windows import Windows
+
+
+@dataclass(frozen=True, slots=True)
+class Repetition:
+    """Say when two windows have the same command: own choices.
+
+    At every one of `points` times of the window each joint's command must agree within
+    `tolerance` of its range in all windows, and the command must move by `moving` of it.
+    """
+
+    points: int = 8
+    tolerance: float = 2e-3
+    moving: float = 0.02
+
+
+SAME = Repetition()
+ROUNDING = 1e-3
+"""Share of a period by which times of samples and commands differ by rounding."""
+LONGEST_DELAY = 0.3
+"""Longest delay [s] of the command that is tried."""
+
+
+def repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Array]] | None:
+    """Return the positions of pairs of windows with the same command; None if there are none.
+
+    Two lists of one array (pairs, L, n).
+    """
+    if any(each.signal.kind != "command" for each in windows):
+        return None
+    commands, q = _commands(windows), np.concatenate([each.q for each in windows])
+    size = np.ptp(commands, axis=(0, 1))
+    if len(q) < 2 or not np.any(size > 0.0):
+        return None
+    scaled = commands / np.where(size > 0.0, size, np.inf)
+    moves = np.ptp(scaled, axis=1).max(axis=1) > SAME.moving
+    places = np.flatnonzero(moves)
+    at = np.linspace(0, scaled.shape[1] - 1, SAME.points).astype(int)
+    if len(places) < 2:
+        return None
+    tree = KDTree(scaled[places][:, at].reshape(len(places), -1))
+    pairs = tree.query_pairs(SAME.tolerance, p=np.inf, output_type="ndarray")
+    if not len(pairs):
+        return None
+    first, second = places[pairs[:, 0]], places[pairs[:, 1]]
+    return [q[first]], [q[second]]
+
+
+def _commands(windows: Sequence[Windows]) -> Array:
+    """Return the command at the samples of all windows, shape (W, L, n)."""
+    parts = []
+    for each in windows:
+        times = each.starts[:, None] + each.times + ROUNDING / each.rate
+        at = np.searchsorted(each.signal.t, times, side="right") - 1
+        parts.append(each.signal.values[np.clip(at, 0, len(each.signal.t) - 1)])
+    return np.concatenate(parts)
+
+
+def delayed_command(windows: Windows) -> Array | None:
+    """Return the motion of the command from the measured position, shape (W, L, n).
+
+    It is delayed by the time that fits the windows best. None if torques drive.
+    """
+    if windows.signal.kind != "command":
+        return None
+    times = windows.starts[:, None] + windows.times
+
+    def delayed(delay: float) -> Array:
+        command = np.stack(
+            [np.interp(times - delay, windows.signal.t, u) for u in windows.signal.values.T],
+            axis=-1,
+        )
+        return command - command[:, :1] + windows.start_q[:, None]
+
+    found = minimize_scalar(
+        lambda delay: float(np.mean((delayed(delay) - windows.q)[:, 1:] ** 2)),
+        bounds=(0.0, LONGEST_DELAY),
+        method="bounded",
+    )
+    return delayed(float(found.x))

@@ -1,0 +1,259 @@
+"""Rollouts: recordings simulated from the measured state, by CAD and as built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import InertiaError
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.trajectories.drive_signal import DrivenBy
+from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.validation.rollout.errors import RolloutErrors, rollout_errors
+from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
+from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, outlying_windows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedMotion:
+    """Hold the windows of one recording and their simulations.
+
+    `cad` and `as_built` have shape (W, L, n), or are None where there is no such robot.
+    """
+
+    windows: Windows
+    cad: Array | None
+    as_built: Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rollout:
+    """Hold the errors of simulated windows of one length.
+
+    Attributes
+    ----------
+    horizon
+        Length of the windows [s].
+    driven_by
+        What drives the simulation.
+    motions
+        Windows and simulations, recording by recording.
+    cad, as_built
+        Errors over all windows; None where there is no such robot.
+    floor
+        Differences between repetitions of the same command, what no model can be below; None if
+        no command was repeated.
+    no_physics
+        Errors of the delayed command taken for the position; None if torques drive.
+    by_motion
+        Recording, number of windows, errors by CAD and as built.
+    why
+        Why a robot was not simulated, by `"cad"` or `"as_built"`.
+    outlying
+        Windows in which something acts that the model lacks.
+    regular
+        Errors as built over all other windows; None if none is outlying.
+    """
+
+    horizon: float
+    driven_by: DrivenBy
+    motions: tuple[SimulatedMotion, ...]
+    cad: RolloutErrors | None
+    as_built: RolloutErrors | None
+    floor: RolloutErrors | None
+    no_physics: RolloutErrors | None
+    by_motion: tuple[tuple[str, int, RolloutErrors | None, RolloutErrors | None], ...]
+    why: tuple[tuple[str, str], ...] = ()
+    outlying: tuple[OutlyingWindow, ...] = ()
+    regular: RolloutErrors | None = None
+
+    @property
+    def n_windows(self) -> int:
+        """Number of windows."""
+        return sum(each.windows.n_windows for each in self.motions)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what `--json` prints."""
+        return {
+            "horizon": self.horizon,
+            "driven_by": self.driven_by,
+            "n_windows": self.n_windows,
+            **{
+                name: None if errors is None else errors.as_dict()
+                for name, errors in (
+                    ("cad", self.cad),
+                    ("as_built", self.as_built),
+                    ("noise_floor", self.floor),
+                    ("no_physics", self.no_physics),
+                )
+            },
+            "outlying": [each.as_dict() for each in self.outlying],
+            "regular": None if self.regular is None else self.regular.as_dict(),
+            "motions": [
+                {
+                    "source": source,
+                    "n_windows": count,
+                    "cad": None if cad is None else cad.as_dict(),
+                    "as_built": None if built is None else built.as_dict(),
+                }
+                for source, count, cad, built in self.by_motion
+            ],
+        }
+
+
+def roll_out(
+    model: RobotModel,
+    windows: Sequence[Windows],
+    cad: Sequence[SimulatedRobot | None],
+    as_built: Sequence[SimulatedRobot | None],
+) -> Rollout:
+    """Simulate windows of the same length and measure their errors.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    windows
+        Windows of each recording.
+    cad, as_built
+        The robots to simulate in each recording, or None.
+    """
+    why: dict[str, str] = {}
+
+    def simulated(name: str, robot: SimulatedRobot | None, cut: Windows) -> Array | None:
+        try:
+            return None if robot is None or name in why else simulate_windows(robot, cut)
+        except InertiaError as problem:
+            why[name] = problem.message
+            return None
+
+    motions = tuple(
+        SimulatedMotion(cut, simulated("cad", by_cad, cut), simulated("as_built", built, cut))
+        for cut, by_cad, built in zip(windows, cad, as_built, strict=True)
+    )
+    measured = [cut.q for cut in windows]
+
+    def errors(name: str, of: Sequence[SimulatedMotion]) -> RolloutErrors | None:
+        paths = [getattr(each, name) for each in of]
+        if any(path is None for path in paths):
+            return None
+        return rollout_errors(model, [each.windows.q for each in of], paths)
+
+    command = [delayed_command(cut) for cut in windows]
+    return Rollout(
+        windows[0].horizon,
+        windows[0].signal.kind,
+        motions,
+        errors("cad", motions),
+        errors("as_built", motions),
+        None if (pairs := repeated_windows(windows)) is None else rollout_errors(model, *pairs),
+        rollout_errors(model, measured, [each for each in command if each is not None])
+        if all(each is not None for each in command)
+        else None,
+        tuple(
+            (
+                each.windows.source,
+                each.windows.n_windows,
+                errors("cad", [each]),
+                errors("as_built", [each]),
+            )
+            for each in motions
+        ),
+        tuple(why.items()),
+        *_outlying(model, motions),
+    )
+
+
+def _outlying(
+    model: RobotModel, motions: Sequence[SimulatedMotion]
+) -> tuple[tuple[OutlyingWindow, ...], RolloutErrors | None]:
+    """Return the outlying windows as built, and the errors of the others."""
+    paths = [each.as_built for each in motions if each.as_built is not None]
+    if len(paths) < len(motions):
+        return (), None
+    cuts = [each.windows for each in motions]
+    found, usual = outlying_windows(cuts, paths, model.joint_names)
+    if not found:
+        return (), None
+    measured = [cut.q[at] for cut, at in zip(cuts, usual, strict=True)]
+    simulated = [path[at] for path, at in zip(paths, usual, strict=True)]
+    return found, rollout_errors(model, measured, simulated)
+
+
+def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
+    """Return what is wrong, or worth knowing, about rollouts."""
+    found = list[Finding]()
+    for rollout in rollouts:
+        length = f"{rollout.horizon:g} s"
+        for name, reason in rollout.why:
+            found.append(
+                Finding(
+                    "rollout_impossible",
+                    "warning",
+                    f"The robot {_title(name)} cannot be simulated: {reason}",
+                    Cure("identify physically consistent links", settings={"method": "entropic"}),
+                )
+            )
+        for name, errors in (("cad", rollout.cad), ("as_built", rollout.as_built)):
+            if errors is not None and errors.diverged:
+                found.append(
+                    Finding(
+                        "rollout_diverged",
+                        "warning",
+                        f"The simulation {_title(name)} diverges in {errors.diverged} of"
+                        f" {rollout.n_windows} windows of {length}",
+                        Cure("roll out shorter windows, and check gains and signs"),
+                    )
+                )
+        found += _worse_than_command(rollout, length)
+        found += _contact(rollout, length)
+    unique = {(each.code, each.message): each for each in found}
+    return tuple(unique.values())
+
+
+def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
+    """Return a finding if the delayed command alone is closer to the motion than the model."""
+    built, plain = rollout.as_built, rollout.no_physics
+    if built is None or plain is None or not built.rms_all > plain.rms_all:
+        return []
+    return [
+        Finding(
+            "rollout_worse_than_command",
+            "warning",
+            f"Over {length} the delayed command alone is closer to the measured motion than the"
+            f" simulation as built ({1e3 * plain.rms_all:.3g} against"
+            f" {1e3 * built.rms_all:.3g} mrad)",
+            Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
+        )
+    ]
+
+
+def _contact(rollout: Rollout, length: str) -> list[Finding]:
+    """Return a finding that names the outlying windows."""
+    if not rollout.outlying or rollout.regular is None or rollout.as_built is None:
+        return []
+    worst = sorted(rollout.outlying, key=lambda each: -np.nan_to_num(each.rms, nan=np.inf))
+    places = [f"{Path(each.source).name} {each.start:.4g} s ({each.joint})" for each in worst]
+    return [
+        Finding(
+            "rollout_outlying",
+            "warning",
+            f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
+            f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
+            f" {joined(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
+            f" instead of {1e3 * rollout.as_built.rms_all:.3g} mrad",
+            Cure("look at these times; exclude contact from the recording"),
+        )
+    ]
+
+
+def _title(name: str) -> str:
+    return "by CAD" if name == "cad" else "as built"

@@ -1,0 +1,1 @@
+"""Studies by simulated motion."""

@@ -1,0 +1,172 @@
+"""Refinement of a study by simulated trajectories of its training data."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.identify import Fit
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.servo.servo_estimate import ServoEstimate
+from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, robot_as_built
+from asbuilt.identification.trajectories.windows import Windows, cut_windows
+from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation.rollout.rollout import roll_out
+from asbuilt.workflow.simulation.rollout import Simulated
+
+USUAL = 0.5
+"""Length of the windows [s] unless rollouts are asked for."""
+LONGEST = 1.0
+"""Longest windows [s]: errors of the state at the start and unmodelled effects add up in them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """Hold how a refinement went.
+
+    Attributes
+    ----------
+    horizon
+        Length of the windows [s].
+    iterations, seconds
+        Steps of the search, and the time they took.
+    before, after
+        Errors of rollouts of this length on data not fitted, or on the training data if nothing
+        was held out; None until they are judged.
+    held_out
+        Whether the data were not fitted.
+    undetermined
+        Drive and servo parameters that the trajectories leave where they were.
+    start
+        The robot before.
+    """
+
+    horizon: float
+    iterations: int
+    seconds: float
+    undetermined: tuple[str, ...]
+    start: SimulatedRobot
+    before: RolloutErrors | None = None
+    after: RolloutErrors | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what `--json` prints."""
+        return {
+            "horizon": self.horizon,
+            "iterations": self.iterations,
+            "seconds": self.seconds,
+            "before": None if self.before is None else self.before.as_dict(),
+            "after": None if self.after is None else self.after.as_dict(),
+            "undetermined": list(self.undetermined),
+        }
+
+
+def refine_study(
+    fit: Fit,
+    parts: Sequence[Simulated],
+    servo: ServoEstimate | None,
+    horizons: Sequence[float],
+    report: Callable[[str, float], None],
+) -> tuple[Fit, ServoEstimate | None, Refined]:
+    """Continue a fit by trajectories of training data.
+
+    Raises
+    ------
+    UsageError
+        If motors of the robot are coupled, or torques and commands are mixed.
+    RecordingError
+        If no window fits into the training data.
+    """
+    if np.any(fit.model.motor_shares):
+        raise UsageError(
+            f"{fit.model.name} has motors that turn with several joints; trajectories of such"
+            " robots are simulated, but not fitted"
+        )
+    kinds = {signal.kind for _, _, signal in parts}
+    if len(kinds) != 1:
+        raise UsageError("trajectories under torques and under commands cannot be fitted together")
+    began = time.perf_counter()
+    horizon = min(max(horizons, default=USUAL), LONGEST)
+    known = None if servo is None or kinds != {"command"} else servo.servo
+    refined = refine_fit(
+        fit,
+        _windows(parts, horizon),
+        known,
+        free_stiffness=servo is not None and any(x != "given" for x in servo.errors.scale),
+        progress=lambda fraction: report("refine", fraction),
+    )
+    return (
+        refined.fit,
+        None if servo is None else _servo_as_refined(servo, refined),
+        Refined(
+            horizon,
+            refined.refinement.iterations,
+            time.perf_counter() - began,
+            refined.undetermined,
+            refined.start,
+        ),
+    )
+
+
+def judged(result: IdentificationResult, refined: Refined, parts: Sequence[Simulated]) -> Refined:
+    """Return the refinement with the errors of rollouts before and after it."""
+    windows = _windows(parts, refined.horizon)
+    after = robot_as_built(result, result.servo)
+    found = roll_out(
+        result.model,
+        windows,
+        [_driven(refined.start, cut) for cut in windows],
+        [_driven(after, cut) for cut in windows],
+    )
+    return replace(refined, before=found.cad, after=found.as_built)
+
+
+def refinement_findings(refined: Refined | None) -> tuple[Finding, ...]:
+    """Return what trajectories leave undetermined."""
+    if refined is None or not refined.undetermined:
+        return ()
+    return (
+        Finding(
+            "refinement_undetermined",
+            "info",
+            "Trajectories hardly determine"
+            f" {joined(list(refined.undetermined), 8)}; these stay near the fit to torques",
+            Cure("record a motion that moves these joints faster, slower or with reversals"),
+        ),
+    )
+
+
+def _windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:
+    """Cut what is long enough; raises RecordingError if nothing is."""
+    found, problem = list[Windows](), None
+    for recording, samples, signal in parts:
+        try:
+            found.append(cut_windows(recording, samples, horizon, signal))
+        except RecordingError as short:
+            problem = short
+    if not found and problem is not None:
+        raise problem
+    return found
+
+
+def _driven(robot: SimulatedRobot, windows: Windows) -> SimulatedRobot:
+    return robot if windows.signal.kind == "command" else robot.with_servo(None)
+
+
+def _servo_as_refined(servo: ServoEstimate, refined: RefinedFit) -> ServoEstimate:
+    """Return the estimate of a servo with refined gains and delay, and their errors."""
+    built: PositionServo | None = refined.servo
+    if built is None:
+        return servo
+    errors = replace(servo.errors, delay=refined.delay_error)
+    if np.isfinite(refined.stiffness_error):
+        errors = replace(errors, kp=tuple(refined.stiffness_error * kp for kp in built.kp))
+    return replace(servo, servo=built, errors=errors)

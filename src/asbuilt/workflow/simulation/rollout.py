@@ -1,0 +1,202 @@
+"""Rollouts of a study: which windows, which robots, driven by what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.experiment.logs.long_recordings import head_of
+from asbuilt.experiment.logs.recordings import (
+    Recorded,
+    RecordingLike,
+    as_recordings,
+    fitted_recordings,
+)
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.trajectories.drive_signal import DriveSignal
+from asbuilt.identification.trajectories.simulated_robot import (
+    SimulatedRobot,
+    robot_as_built,
+    robot_as_described,
+)
+from asbuilt.identification.trajectories.windows import cut_windows, driving_signal
+from asbuilt.validation.rollout.rollout import Rollout, roll_out
+from asbuilt.workflow.options import ValidationOptions
+from asbuilt.workflow.prepare import digest
+from asbuilt.workflow.servo import with_servo
+
+Simulated = tuple[Recording, Samples, DriveSignal]
+"""A recording, the part of its motion that is simulated, and what drives it."""
+
+
+def roll_out_result(
+    result: IdentificationResult,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    horizons: Sequence[float],
+    *,
+    options: ValidationOptions | None = None,
+) -> tuple[Rollout, ...]:
+    """Simulate recordings from the measured state with an identified model, and with CAD.
+
+    Of a recording that the result was identified from, only what was held out is simulated, if
+    anything was. MuJoCo simulates windows one after another, under the logged command if the
+    recording has a position servo, or else under the logged torque.
+
+    Parameters
+    ----------
+    result
+        The identified robot.
+    recordings
+        One recording or several, as for `identify`.
+    horizons
+        Lengths of the windows [s].
+    options
+        How to prepare the recordings; None: the defaults.
+
+    Returns
+    -------
+    tuple of Rollout
+        The errors for each horizon.
+
+    Raises
+    ------
+    RecordingError
+        If no window fits into a recording, or nothing drives its simulation.
+    MissingExtraError
+        If MuJoCo is not installed.
+    """
+    options = options or ValidationOptions()
+    logged = as_recordings(result.model, recordings)
+    parts = [_simulated(result, with_servo(item, result.servo), options.chain) for item in logged]
+    cad = options.cad
+    cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
+    return simulated_rollouts(result, parts, horizons, cad=cad)
+
+
+def roll_out_robot(
+    robot: RobotModel | str | Path,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    horizons: Sequence[float],
+    *,
+    options: ValidationOptions | None = None,
+) -> tuple[Rollout, ...]:
+    """Simulate recordings with a robot as described, drives included.
+
+    Parameters and errors are those of `roll_out_result`; there is no robot as built.
+    """
+    options = options or ValidationOptions()
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model, (logged,) = fitted_recordings(model, (recordings,))
+    chain = options.chain or SignalChain()
+    parts = [_whole(item, chain) for item in logged]
+    described = [_driven(robot_as_described(model, _servo(each[0])), each) for each in parts]
+    return tuple(
+        roll_out(
+            model,
+            [cut_windows(one, samples, horizon, signal) for one, samples, signal in parts],
+            described,
+            [None] * len(parts),
+        )
+        for horizon in horizons
+    )
+
+
+def simulated_rollouts(
+    result: IdentificationResult,
+    parts: Sequence[Simulated],
+    horizons: Sequence[float],
+    *,
+    cad: RobotModel | None = None,
+) -> tuple[Rollout, ...]:
+    """Return the rollouts of parts of recordings, with CAD beside as built."""
+    by_cad, built = [], []
+    for part in parts:
+        servo = result.servo or _servo(part[0])
+        by_cad.append(_driven(robot_as_described(cad or result.model, servo), part))
+        built.append(_driven(robot_as_built(result, servo), part))
+    return tuple(
+        roll_out(
+            result.model,
+            [cut_windows(one, samples, horizon, signal) for one, samples, signal in parts],
+            by_cad,
+            built,
+        )
+        for horizon in horizons
+    )
+
+
+def held_out_parts(
+    recordings: Sequence[Recorded],
+    validation: Sequence[Recorded],
+    chain: SignalChain | None,
+    holdout: str | None,
+) -> tuple[Simulated, ...]:
+    """Return what a study may simulate: what was held out, and the other recordings."""
+    held = () if holdout is None else tuple(_part(item, chain, holdout) for item in recordings)
+    return (*held, *(_part(item, chain, None) for item in validation))
+
+
+def trained_parts(
+    recordings: Sequence[Recorded], chain: SignalChain | None, holdout: str | None
+) -> tuple[Simulated, ...]:
+    """Return what a study may be fitted to by simulations: all that is not held out."""
+    return tuple(_part(item, chain, holdout, train=True) for item in recordings)
+
+
+def _servo(recording: Recording) -> PositionServo | None:
+    return recording.servo
+
+
+def _driven(robot: SimulatedRobot, part: Simulated) -> SimulatedRobot:
+    """Return the robot with its servo only where a command drives it."""
+    return robot if part[2].kind == "command" else robot.with_servo(None)
+
+
+def _simulated(
+    result: IdentificationResult, item: Recorded, chain: SignalChain | None
+) -> Simulated:
+    """Return the part of a recording that the result was not identified from."""
+    trained = not isinstance(item, Samples) and digest(head_of(item)) in result.digests
+    holdout = result.holdout if trained and chain is None else None
+    return _part(item, chain or result.chain, holdout)
+
+
+def _whole(item: Recorded, chain: SignalChain) -> Simulated:
+    return _part(item, chain, None)
+
+
+def _part(
+    item: Recorded, chain: SignalChain | None, holdout: str | None, *, train: bool = False
+) -> Simulated:
+    """Return a recording, a part of its motion with rests by the rule, and its signal."""
+    if isinstance(item, Samples):
+        recording, samples = _as_recording(item), item
+    else:
+        recording = head_of(item)
+        settled = resolve_chain(chain or SignalChain(), recording)
+        whole = replace(settled, rests=True, parallel=False, decimate=None)
+        samples = prepare_samples(recording, whole)
+    signal = driving_signal(recording)
+    if holdout is not None:
+        samples = hold_out(samples, holdout)[0 if train else 1]
+    return recording, samples, signal
+
+
+def _as_recording(samples: Samples) -> Recording:
+    return Recording(
+        t=samples.t,
+        q=samples.q,
+        tau=samples.tau_raw,
+        joint_names=samples.joint_names,
+        source=samples.source,
+        torque_source=samples.torque_source,
+    )

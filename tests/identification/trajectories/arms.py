@@ -1,0 +1,89 @@
+"""Virtual servo arms whose motion another engine computed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.model import DriveValues, RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.experiment.recording import Recording
+
+DRIVE = DriveValues(armature=0.05, viscous=0.6, coulomb=0.25)
+SERVO = PositionServo(kp=(40.0, 25.0), kd=(1.0, 0.5), torque_limit=(20.0, 10.0), delay=0.006)
+
+
+def servo_arm() -> RobotModel:
+    """Return a two-link arm with armature and friction."""
+    model = bundled_robot("two-link")
+    return replace(model, joints=tuple(replace(joint, drive=DRIVE) for joint in model.joints))
+
+
+def command(t: Array, seed: int = 0) -> Array:
+    """Return commanded positions of sines and rests, shape (N, 2)."""
+    rng = np.random.default_rng(seed)
+    phases, sizes = rng.uniform(0, 2 * np.pi, (2, 4)), rng.uniform(0.1, 0.3, (2, 4))
+    rates = 2 * np.pi * np.array([0.3, 0.7, 1.3, 2.1])
+    return np.stack(
+        [
+            (size * np.sin(rates * t[:, None] + phase)).sum(axis=1)
+            for size, phase in zip(sizes, phases, strict=True)
+        ],
+        axis=1,
+    )
+
+
+def recorded_by_mujoco(
+    model: RobotModel,
+    servo: PositionServo,
+    *,
+    duration: float,
+    rate: float = 100.0,
+    seed: int = 0,
+    noise: float = 0.0,
+) -> Recording:
+    """Return a recording of MuJoCo's own position actuators, loaded from MJCF text."""
+    actuators = "".join(
+        f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kd}"'
+        f' forcerange="{-limit} {limit}"/>'
+        for name, kp, kd, limit in zip(
+            model.joint_names, servo.kp, servo.kd, servo.torque_limit, strict=True
+        )
+    )
+    text = mjcf_text(model, actuators=False, shapes=False).replace(
+        "</mujoco>", f"<actuator>{actuators}</actuator></mujoco>"
+    )
+    text = text.replace('integrator="RK4"', 'integrator="implicitfast"')
+    robot = mujoco.MjModel.from_xml_string(text)
+    robot.opt.timestep = 1e-3
+    robot.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    robot.dof_solref[:], robot.dof_solimp[:, :2] = [0.002, 1.0], 0.9999
+    robot.jnt_actfrclimited[:] = 0
+    data, every = mujoco.MjData(robot), round(1.0 / (rate * 1e-3))
+    t = np.arange(0.0, duration, 1.0 / rate)
+    u = command(t, seed)
+    late = round((servo.delay or 0.0) / 1e-3)
+    data.qpos[:] = u[0]
+    q, qd = np.empty_like(u), np.empty_like(u)
+    for step in range(len(t) * every):
+        if step % every == 0:
+            q[step // every], qd[step // every] = data.qpos, data.qvel
+        data.ctrl[:] = u[max(step - late, 0) // every]
+        mujoco.mj_step(robot, data)
+    measured = q + noise * np.random.default_rng(seed).standard_normal(q.shape)
+    return Recording(
+        t=t,
+        q=measured,
+        qd=qd,
+        tau=np.zeros_like(u),
+        command=u,
+        servo=servo,
+        joint_names=model.joint_names,
+        source=f"virtual servo arm {seed}",
+        torque_source="command",
+    )

@@ -1,0 +1,79 @@
+"""Refinement by trajectories: the truth of a virtual servo arm, from several starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
+
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.identify import Fit, fit_samples
+from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
+from asbuilt.identification.trajectories.windows import Windows, cut_windows
+
+pytest.importorskip("mujoco")
+DRIVE = DriveSet.parse("armature,viscous,coulomb")
+
+
+@pytest.fixture(scope="module")
+def study() -> tuple[Fit, Windows]:
+    """The arm's links are 20 % heavier than CAD, its delay is unknown."""
+    truth = servo_arm()
+    recording = recorded_by_mujoco(truth, SERVO, duration=24.0, noise=2e-4)
+    recording = driven_by_command(replace(recording, qd=None), replace(SERVO, delay=0.0))
+    cad = truth.with_parameters(truth.parameters / 1.2)
+    chain = SignalChain(cutoff=8.0)
+    fit = fit_samples(cad, [prepare_samples(recording, chain)], drive=DRIVE, method="entropic")
+    whole = prepare_samples(recording, replace(chain, rests=True, parallel=False))
+    return fit, cut_windows(recording, whole, 0.5)
+
+
+@pytest.fixture(scope="module")
+def refined(study: tuple[Fit, Windows]) -> RefinedFit:
+    fit, windows = study
+    return refine_fit(fit, [windows], replace(SERVO, delay=0.0))
+
+
+def test_refinement_recovers_the_truth_within_its_intervals(
+    study: tuple[Fit, Windows], refined: RefinedFit
+) -> None:
+    base = refined.fit.base
+    truth = base.regrouping @ np.nan_to_num(parameter_values(servo_arm(), DRIVE))
+    estimate, error = refined.fit.estimate.beta, refined.fit.uncertainty.std_errors
+    drives = [k for k, name in enumerate(base.names) if name[:2] in ("Fv", "Fc", "Ia")]
+    assert len(drives) == 4, "armatures are regrouped with the links of a planar arm"
+    assert np.all(np.abs(estimate - truth)[drives] < 4.0 * error[drives] + 0.02 * truth[drives])
+    assert np.all(error[drives] < 0.2 * truth[drives] + 0.01)
+    assert refined.servo is not None
+    assert refined.servo.delay == pytest.approx(0.006, abs=5e-4)
+    linear = study[0].estimate.beta
+    assert np.linalg.norm((estimate - truth)[drives]) < 0.5 * np.linalg.norm(
+        (linear - truth)[drives]
+    )
+
+
+@pytest.mark.parametrize("factor", [0.3, 4.0])
+def test_other_starts_reach_the_same_optimum(
+    study: tuple[Fit, Windows], refined: RefinedFit, factor: float
+) -> None:
+    fit, windows = study
+    begin = fit.estimate.standard.copy()
+    begin[20:] *= factor
+    begin[:20] /= np.sqrt(factor)
+    other = refine_fit(fit, [windows], replace(SERVO, delay=0.0), begin=begin)
+    error = refined.fit.uncertainty.std_errors
+    assert np.all(np.abs(other.fit.estimate.beta - refined.fit.estimate.beta) < 0.3 * error + 1e-9)
+
+
+def test_a_link_stays_physically_consistent(refined: RefinedFit) -> None:
+    assert all(link.inertia.is_consistent for link in refined.robot.model.links)
+
+
+def test_the_result_says_that_it_was_refined(refined: RefinedFit) -> None:
+    assert any("Refined by trajectories" in line for line in refined.fit.provenance)

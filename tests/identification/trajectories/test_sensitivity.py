@@ -1,0 +1,55 @@
+"""Derivatives of simulated trajectories against central differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
+from tests.identification.trajectories.test_simulation import samples_of
+
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.identification.trajectories.sensitivity import Trajectories
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, robot_as_described
+from asbuilt.identification.trajectories.windows import cut_windows
+
+pytest.importorskip("mujoco")
+
+
+def test_derivatives_by_all_parameters_are_those_of_differences() -> None:
+    model = servo_arm()
+    recording = recorded_by_mujoco(model, SERVO, duration=2.0)
+    servo = replace(SERVO, torque_limit=(6.0, 2.0), delay=0.0061)
+    windows = cut_windows(recording, samples_of(recording), 0.3)
+    robot = robot_as_described(model, servo)
+    base = find_base_parameters(model, robot.drive)
+    trajectories = Trajectories(model, base)
+    n, p = model.n_joints, base.n_base
+    chi = np.concatenate([model.parameters, robot.values.ravel()])
+
+    def positions(z):
+        full = chi.copy()
+        full[base.columns] += z[:p]
+        changed = replace(
+            servo,
+            kp=tuple(np.array(servo.kp) + z[p : p + n]),
+            kd=tuple(np.array(servo.kd) + z[p + n : p + 2 * n]),
+            delay=servo.delay + z[-1],
+        )
+        moved = SimulatedRobot(model, robot.drive, full[10 * n :].reshape(n, -1), changed)
+        motion = trajectories.simulate(moved, windows, full[: 10 * n])
+        return motion.sampled(windows.divisions)[:, 1:]
+
+    motion = trajectories.simulate(robot, windows, chi[: 10 * n])
+    assert np.any(motion.state > 2.0), "the servo must be at its limit somewhere"
+    ((branch, _, found),) = trajectories.derivatives(robot, windows, chi[: 10 * n], motion)
+    assert branch.parameters.tolist() == list(range(trajectories.n_parameters))
+    for k in range(trajectories.n_parameters):
+        z = np.zeros(trajectories.n_parameters)
+        z[k] = 1e-6
+        slope = (positions(z) - positions(-z)) / 2e-6
+        size = np.abs(slope).max()
+        # contacts of friction and limit begin in other steps for some samples
+        assert np.median(np.abs(found[..., k] - slope)) < 1e-5 * size
+        assert np.mean(np.abs(found[..., k] - slope) > 1e-3 * size) < 0.05

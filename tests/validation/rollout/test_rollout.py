@@ -1,0 +1,105 @@
+"""Errors of rollouts, repetitions, outlying windows, and what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
+from tests.identification.trajectories.test_simulation import samples_of
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.identification.trajectories.drive_signal import DriveSignal
+from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.windows import Windows, cut_windows
+from asbuilt.validation.rollout.errors import rollout_errors
+from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
+from asbuilt.validation.rollout.outlying import outlying_windows
+from asbuilt.validation.rollout.rollout import roll_out, rollout_findings
+
+pytest.importorskip("mujoco")
+
+
+@pytest.fixture(scope="module")
+def windows() -> Windows:
+    recording = recorded_by_mujoco(servo_arm(), SERVO, duration=6.0)
+    return cut_windows(recording, samples_of(recording), 0.5)
+
+
+def test_errors_of_known_differences() -> None:
+    model = bundled_robot("two-link")
+    measured = np.zeros((2, 3, 2))
+    simulated = measured.copy()
+    simulated[:, 1:, 0] = 0.02
+    simulated[1, 2, 1] = 0.01
+    found = rollout_errors(model, [measured], [simulated])
+    assert found.rms == pytest.approx([0.02, 0.005])
+    assert found.final == pytest.approx([0.02, np.sqrt(0.5) * 0.01])
+    assert found.rms_all == pytest.approx(np.sqrt((4 * 0.02**2 + 0.01**2) / 8))
+    assert found.diverged == 0
+
+
+def test_a_divergence_has_no_number_and_is_counted(windows: Windows) -> None:
+    lost = windows.q.copy()
+    lost[3, 5:] = np.nan
+    found = rollout_errors(servo_arm(), [windows.q], [lost])
+    assert found.as_dict()["rms_all"] is None
+    assert found.diverged == 1
+
+
+def test_the_truth_is_closer_than_a_wrong_description(windows: Windows) -> None:
+    truth = servo_arm()
+    wrong = truth.with_parameters(1.4 * truth.parameters)
+    found = roll_out(
+        truth,
+        [windows],
+        [robot_as_described(wrong, SERVO)],
+        [robot_as_described(truth, SERVO)],
+    )
+    assert found.as_built is not None
+    assert found.cad is not None
+    assert found.no_physics is not None
+    assert found.as_built.rms_all < 2e-5
+    assert found.cad.rms_all > 1e-3
+    assert found.as_dict()["n_windows"] == 12
+    assert found.driven_by == "command"
+    assert rollout_findings([replace(found, outlying=())]) == ()
+    exchanged = replace(found, as_built=replace(found.cad, rms_all=1.0), outlying=())
+    assert [each.code for each in rollout_findings([exchanged])] == ["rollout_worse_than_command"]
+
+
+def test_repetitions_of_a_command_give_the_noise() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 8.0, 0.01)
+    u = np.sin(2 * np.pi * 0.25 * t)[:, None] * [1.0, 0.5]
+    q = u + 1e-3 * rng.standard_normal(u.shape)
+    cut = Windows(
+        "log",
+        1.0,
+        100.0,
+        np.arange(8.0),
+        q.reshape(8, 100, 2),
+        q[::100],
+        np.zeros((8, 2)),
+        DriveSignal("command", t, u),
+    )
+    pairs = repeated_windows([cut])
+    assert pairs is not None
+    assert len(pairs[0][0]) == 4, "each of four windows comes twice"
+    assert np.std(pairs[0][0] - pairs[1][0]) == pytest.approx(np.sqrt(2) * 1e-3, rel=0.1)
+    path = delayed_command(cut)
+    assert path is not None
+    assert np.sqrt(np.mean((path - cut.q) ** 2)) < 2.5e-3
+
+
+def test_a_window_under_contact_is_named(windows: Windows) -> None:
+    touched = windows.q + 1e-3
+    touched[7, 10:, 1] += 0.1
+    found, usual = outlying_windows([windows], [touched], windows_names())
+    assert [(each.start, each.joint) for each in found] == [(3.5, "joint_2")]
+    assert usual[0].tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11]
+
+
+def windows_names() -> tuple[str, ...]:
+    return servo_arm().joint_names

@@ -1,0 +1,79 @@
+"""A study with rollouts and refinement: from Python, and from the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
+from typer.testing import CliRunner
+
+from asbuilt import StudyOptions, identify, roll_out_result
+from asbuilt.errors import UsageError
+from asbuilt.workflow.options import horizons
+
+pytest.importorskip("mujoco")
+
+
+@pytest.fixture(scope="module")
+def study():
+    truth = servo_arm()
+    recording = replace(recorded_by_mujoco(truth, SERVO, duration=20.0, noise=1e-4), qd=None)
+    recording = replace(recording, servo=replace(SERVO, delay=None))
+    cad = truth.with_parameters(truth.parameters / 1.2)
+    options = StudyOptions(
+        holdout="blocks:2s:2",
+        rollout=(0.5, 1.0),
+        refine="rollout",
+        method="entropic",
+        checked=False,
+    )
+    return identify(cad, recording, options=options), recording
+
+
+def test_refined_study_beats_the_linear_one_on_what_was_held_out(study) -> None:
+    found, _ = study
+    assert found.refined is not None
+    assert found.refined.after.rms_all < 0.7 * found.refined.before.rms_all
+    assert [each.horizon for each in found.rollouts] == [0.5, 1.0]
+    for each in found.rollouts:
+        assert each.as_built.rms_all < 0.2 * each.cad.rms_all
+    assert any("Refined by trajectories" in line for line in found.result.provenance)
+
+
+def test_result_simulates_what_was_held_out_of_its_own_recording(study) -> None:
+    found, recording = study
+    (again,) = roll_out_result(found.result, recording, [0.5])
+    assert again.n_windows == found.rollouts[0].n_windows
+    assert again.as_built.rms_all == pytest.approx(found.rollouts[0].as_built.rms_all, rel=1e-9)
+
+
+def test_a_rollout_needs_data_that_were_not_fitted(study) -> None:
+    with pytest.raises(UsageError, match="not fitted to"):
+        identify(servo_arm(), study[1], options=StudyOptions(rollout=(0.5,)))
+
+
+@pytest.mark.parametrize("text", ["0", "a,b", "-1", "nan", ""])
+def test_lengths_of_rollouts_are_positive(text: str) -> None:
+    with pytest.raises(UsageError, match="positive"):
+        horizons(text)
+
+
+def test_command_line_prints_rollouts_of_a_robot_as_described(tmp_path: Path) -> None:
+    from asbuilt import simulate_recording, write_recording
+    from asbuilt.cli.app import app
+    from asbuilt.excitation.motions.random_motion import random_fourier
+
+    model = servo_arm()
+    log = simulate_recording(model, random_fourier(model, rng=1, duration=6.0), rng=1)
+    path = tmp_path / "log.csv"
+    write_recording(path, log)
+    ran = CliRunner().invoke(app, ["validate", "two-link", str(path), "--rollout", "0.1", "--json"])
+    (only,) = json.loads(ran.stdout)["rollout"]
+    assert only["driven_by"] == "torque"
+    assert only["as_built"] is None
+    assert len(only["cad"]["rms"]) == 2
+    assert np.isfinite(only["cad"]["rms_all"])
