@@ -42,6 +42,17 @@ HELP = {"help_option_names": ["-h", "--help"]}
 class Command(TyperCommand):
     """A command whose help groups its options and ends with two examples."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        """Read the arguments; an option that may stand alone then has the empty value."""
+        entry = COMMANDS.get(self.name or "")
+        bare = () if entry is None else entry.bare
+        after = [*args[1:], "-"]
+        given = [
+            f"{each}=" if each in bare and following.startswith("-") else each
+            for each, following in zip(args, after, strict=True)
+        ]
+        return super().parse_args(ctx, given)
+
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return `[OPTIONS]` and the names of the arguments."""
         return ["[OPTIONS]", *(str(param.metavar) for param in _arguments(self, ctx))]
