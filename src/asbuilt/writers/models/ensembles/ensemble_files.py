@@ -55,7 +55,7 @@ class EnsembleFiles:
         first, last = self.models[0], self.models[-1]
         files = {"models": Path(f"{first} ... {last.name}"), **self.files}
         listed = file_lines(files, {}, 10) + [f"  note: {note}" for note in self.notes]
-        return "\n".join([head, "", Table(columns, rows).as_text(), "", *listed])
+        return "\n".join([head, "", Table(columns, rows).as_text().strip(), "", *listed])
 
 
 def write_ensemble(

@@ -55,7 +55,13 @@ class ExportedDrives:
         return {joint.name: float(value(joint) or 0.0) for joint in self.plain.joints}
 
     def left_out(
-        self, kind: str, *, carried: Collection[str] = (), offset: bool = False, delay: bool = False
+        self,
+        kind: str,
+        *,
+        carried: Collection[str] = (),
+        offset: bool = False,
+        delay: bool = False,
+        gains: bool = True,
     ) -> tuple[str, ...]:
         """Return notes on what a format cannot hold, apart from what it is said to hold."""
         notes = list(left_out_drives(self.plain, carried, kind))
@@ -70,7 +76,7 @@ class ExportedDrives:
             notes.append(
                 f"{kind} has no place for the delay of the servo, {1e3 * self.delay:.3g} ms"
             )
-        if not self.has_gains:
+        if gains and not self.has_gains:
             notes.append(
                 "no position servo was identified: gains are zero, and commands are torques"
             )

@@ -35,7 +35,7 @@ class Ros2Control(SimulatorFormat):
             more = ("pid_controller has no place for armature and friction",) if friction else ()
             return _gains(drives), (*notes, *more)
         return _tags(drives), (
-            *drives.left_out("ros2_control", offset=True, delay=True),
+            *drives.left_out("ros2_control", offset=True, delay=True, gains=False),
             "ros2_control hands the parameters to the hardware component, which decides what to do"
             " with them",
         )
