@@ -1,7 +1,7 @@
 """Whether the truth's motion lies in an ensemble's 90 % band in 90 % of windows.
 
 200 virtual studies of each robot: the robot differs from CAD, its torque is recorded with coloured
-noise, and 99 robots are drawn from the result. Truth and ensemble are then simulated by MuJoCo over
+noise, and 39 robots are drawn from the result. Truth and ensemble are then simulated by MuJoCo over
 the same windows under the same torques. A window is inside where the
 true position of a joint at its end lies between the 5 and 95 % quantiles of the ensemble.
 
@@ -38,14 +38,14 @@ from asbuilt.identification.trajectories.windows import Windows
 Array = NDArray[np.float64]
 
 STUDIES = 200
-DRAWS = 99
+DRAWS = 39
 HORIZON, N_WINDOWS, RATE = 0.5, 8, 200.0
 NOISE = 0.3
 CORRELATION = 0.05
 """Correlation time of the torque noise [s]."""
 FRICTION = np.array([0.1, 1.0, 2.0])
 DRIVE = DriveSet.parse("armature,viscous,coulomb")
-METHOD = "entropic"
+METHOD = "consistent"
 ROBOTS = ("ur10e", "kuka-iiwa7-r800")
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from asbuilt.cli.app import main
+from asbuilt.cli.commands import SUBCOMMANDS
 
 JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "json.md"
 EXTRA = {"identify": {"payload", "cutoff_sweep"}}
@@ -28,6 +29,8 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
     status = int(end.value.code or 0)
     if status == 0 and "--json" in arguments:
         command = str(arguments[0])
+        if command in SUBCOMMANDS:
+            command = f"{command} {arguments[1]}"
         fields = set(json.loads(out)) - EXTRA.get(command, set())
         assert any(fields == told for told in documented_fields()[command]), sorted(fields)
     return status, out, err

@@ -28,11 +28,21 @@ STAGES = (
     "excitation",
     "experiment",
     "identification",
+    "monitoring",
     "validation",
     "workflow",
     "writers",
 )
-LEAVES = ("arrays", "codec", "errors", "findings", "registry", "tables", "untrusted")
+LEAVES = (
+    "arrays",
+    "codec",
+    "errors",
+    "executor",
+    "findings",
+    "registry",
+    "tables",
+    "untrusted",
+)
 FULL = 12
 """Modules that one folder may hold, drive terms excepted."""
 HEAVY = (
@@ -131,7 +141,7 @@ def test_every_package_that_is_imported_is_declared() -> None:
         *project["dependencies"],
         *(
             each
-            for extra in ("sim", "bags", "hdf5", "cad", "view")
+            for extra in ("sim", "bags", "hdf5", "cad", "view", "cluster", "s3")
             for each in project["optional-dependencies"][extra]
         ),
     ]
@@ -199,11 +209,15 @@ def test_start_up_loads_nothing_heavy(statement: str) -> None:
 def option_spellings() -> set[str]:
     """Every option of the command line."""
     from asbuilt.cli.app import app
-    from asbuilt.cli.commands import COMMANDS
+    from asbuilt.cli.commands import COMMANDS, SUBCOMMANDS
 
     group: Any = typer.main.get_command(app)
     context = group.make_context("asbuilt", ["robots"], resilient_parsing=True)
-    params = [p for name in COMMANDS for p in group.get_command(context, name).get_params(context)]
+    commands = [group.get_command(context, name) for name in COMMANDS]
+    for name, entries in SUBCOMMANDS.items():
+        inner = group.get_command(context, name)
+        commands += [inner.get_command(context, each) for each in entries]
+    params = [p for command in commands for p in command.get_params(context)]
     return {name for param in params for name in param.opts if name.startswith("--")}
 
 

@@ -17,6 +17,7 @@ import typer
 
 import asbuilt
 from asbuilt.cli.app import app
+from asbuilt.cli.commands import SUBCOMMANDS
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.writers.models.urdf import write_urdf
@@ -25,7 +26,15 @@ from asbuilt.writers.recording_files import write_recording
 HOUSE = Path(__file__).resolve().parents[1]
 PAGES = [HOUSE / "README.md", *sorted((HOUSE / "docs").rglob("*.md"))]
 GROUP: Any = typer.main.get_command(app)
-COMMANDS = {name: GROUP.get_command(None, name) for name in GROUP.list_commands(None)}
+COMMANDS = {
+    name: GROUP.get_command(None, name)
+    for name in GROUP.list_commands(None)
+    if name not in SUBCOMMANDS
+} | {
+    f"{name} {sub}": GROUP.get_command(None, name).get_command(None, sub)
+    for name, entries in SUBCOMMANDS.items()
+    for sub in entries
+}
 OPTIONS = {
     name: [
         {*parameter.opts, *parameter.secondary_opts}
@@ -66,6 +75,8 @@ def test_commands_can_be_typed(page: str, line: str) -> None:
     _, name, *arguments = shlex.split(
         line.translate({ord(bracket): None for bracket in "[]"}), comments=True
     )
+    if name in SUBCOMMANDS:
+        name, arguments = f"{name} {arguments[0]}", arguments[1:]
     with COMMANDS[name].make_context(name, arguments):
         pass
 

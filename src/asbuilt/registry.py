@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T]):
-    """Hold objects by name; every module of `package`, its folders included, may `register` some when it is imported.
+    """Hold objects by name; every module of `package` may `register` some when it is imported.
 
     Modules of other distributions take part through the entry point group `group`: each entry
     names a module that registers its objects. All are imported on first use of the registry, in

@@ -11,10 +11,12 @@ import typer
 
 import asbuilt
 from asbuilt.cli.app import app
-from asbuilt.cli.commands import COMMANDS, GROUPS
+from asbuilt.cli.commands import EVERY_COMMAND, GROUPS, SUBCOMMANDS
 from command_line import call
 
 WIDTH = 80
+SINGLE = [name for name in EVERY_COMMAND if name not in SUBCOMMANDS]
+"""Commands that have no commands of their own."""
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +28,9 @@ def options_of(command: str) -> set[str]:
     """Every spelling of the options of a command."""
     group: Any = typer.main.get_command(app)
     context = group.make_context("asbuilt", ["robots"], resilient_parsing=True)
-    params = group.get_command(context, command).get_params(context)
+    for name in command.split():
+        group = group.get_command(context, name)
+    params = group.get_params(context)
     return {name for param in params for name in (*param.opts, *param.secondary_opts)}
 
 
@@ -45,32 +49,45 @@ def test_help_lists_every_command_whole(capsys: pytest.CaptureFixture[str]) -> N
     assert call(capsys)[:2] == (2, out)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", SINGLE)
 def test_help_of_a_command_fits_and_ends_with_two_examples(
     capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
-    status, out, _ = call(capsys, command, "-h")
+    status, out, _ = call(capsys, *command.split(), "-h")
     assert status == 0
     lines = out.rstrip().splitlines()
     assert max(map(len, lines)) <= WIDTH
     assert lines[-3] == "Examples:"
-    assert COMMANDS[command].summary in " ".join(out.split())
+    assert EVERY_COMMAND[command].summary in " ".join(out.split())
     for option in ("--json", "-q, --quiet", "-v, --verbose", "-h, --help"):
         assert option in out
     assert ("-o, --out" in out) is ("--out" in options_of(command))
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", SUBCOMMANDS)
+def test_help_of_a_group_lists_its_commands(
+    capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    status, out, _ = call(capsys, command, "-h")
+    assert status == 0
+    assert max(map(len, out.splitlines())) <= WIDTH
+    for name, entry in SUBCOMMANDS[command].items():
+        assert [name, *entry.summary.split()] in [line.split() for line in out.splitlines()]
+    assert call(capsys, command)[:2] == (2, out)
+    assert call(capsys, command, "unknown")[0] == 2
+
+
+@pytest.mark.parametrize("command", SINGLE)
 def test_examples_have_options_that_exist(command: str) -> None:
     known = options_of(command)
-    for example in COMMANDS[command].examples:
+    for example in EVERY_COMMAND[command].examples:
         given = [word.split("=")[0] for word in shlex.split(example) if word.startswith("-")]
         assert set(given) <= known
 
 
-@pytest.mark.parametrize("command", [name for name, entry in COMMANDS.items() if entry.call])
+@pytest.mark.parametrize("command", [name for name in SINGLE if EVERY_COMMAND[name].call])
 def test_every_command_has_its_public_function(command: str) -> None:
-    assert callable(getattr(asbuilt, COMMANDS[command].call))
+    assert callable(getattr(asbuilt, EVERY_COMMAND[command].call))
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,7 +56,7 @@ def test_sweep_is_printed_with_its_reason(sweep: CutoffSweep) -> None:
     text = sweep.table().as_text(full=True)
     assert "<- chosen" in text
     assert sweep.why in " ".join(text.split())
-    assert "blocks:2s:3 of the recordings identified from" in text
+    assert "blocks:5s:3 of the recordings identified from" in text
     json.dumps(sweep.as_document(), allow_nan=False)
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.excitation.information.efficiency import information_efficiency
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
@@ -97,3 +100,17 @@ def test_the_worst_parameter_is_that_of_least_information(recording: Recording) 
         assert found.std_error_ratios[k] == pytest.approx(
             1 / np.sqrt(min(found.efficiency.by_parameter[own]))
         )
+
+
+def test_noise_is_no_information_beyond_the_bound():
+    """Accelerations of coarse positions exceed every limit; the efficiency does not exceed 1."""
+    model = load_robot("two-link")
+    rng = np.random.default_rng(1)
+    states = SimpleNamespace(
+        q=rng.uniform(-3, 3, (400, 2)),
+        qd=rng.normal(0.0, 5.0, (400, 2)),
+        qdd=rng.normal(0.0, 5000.0, (400, 2)),
+    )
+    found = information_efficiency(model, DriveSet.parse("viscous,coulomb,offset"), states)
+    assert 0.0 < found.d_efficiency <= 1.0
+    assert np.all(found.beyond > 50.0)

@@ -268,9 +268,12 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
     }
 
 
-@pytest.mark.parametrize(("left", "said"), [(0.9995, False), (0.9, True)])
+@pytest.mark.parametrize(
+    ("left", "elsewhere", "said"),
+    [(0.9995, 0.4, False), (0.9, 0.4, True), (0.9, 0.1, False)],
+)
 def test_a_tilt_that_explains_nothing_is_not_spoken_of(
-    left: float, said: bool, monkeypatch: pytest.MonkeyPatch
+    left: float, elsewhere: float, said: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However sure the angle is.
 
@@ -297,5 +300,6 @@ def test_a_tilt_that_explains_nothing_is_not_spoken_of(
     assert stands.relief == pytest.approx(1.0 - left)
     monkeypatch.setattr(hidden_causes, "find_mounting", lambda *_, **__: stands)
     monkeypatch.setattr(hidden_causes, "suspected_springs", lambda *_, **__: ())
+    monkeypatch.setattr(hidden_causes, "relief_on_other_motions", lambda *_, **__: (elsewhere, 0.2))
     found = hidden_causes.hidden_cause_findings(result, [samples], drive, tilt=0.0)
     assert ("base_tilt" in {finding.code for finding in found}) is said

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asbuilt.cli.arguments.spread import option_name
-from asbuilt.cli.commands import COMMANDS
+from asbuilt.cli.commands import EVERY_COMMAND
 from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def cure_text(cure: Cure | str | None) -> str:
         return cure or ""
     spelled = [_option_text(name, value) for name, value in cure.settings.items()]
     spelled += [
-        f"asbuilt {name}" for name, entry in COMMANDS.items() if cure.call == entry.call != ""
+        f"asbuilt {name}" for name, entry in EVERY_COMMAND.items() if cure.call == entry.call != ""
     ]
     return f"{cure.text} ({', '.join(spelled)})" if spelled else cure.text
 

@@ -11,7 +11,7 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -21,7 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 import asbuilt
 from asbuilt.cli.answers import cure_text, screen_of, wrapped
 from asbuilt.cli.arguments.spread import Common, spread
-from asbuilt.cli.commands import COMMANDS, GROUPS
+from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.findings import Cure
 
@@ -74,10 +74,11 @@ class Command(TyperCommand):
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write the examples, one a line."""
-        if self.name in COMMANDS:
+        place = ctx.command_path.removeprefix("asbuilt ")
+        if place in EVERY_COMMAND:
             with formatter.section("Examples"):
-                for arguments in COMMANDS[self.name].examples:
-                    formatter.write(f"  asbuilt {self.name} {arguments}".rstrip() + "\n")
+                for arguments in EVERY_COMMAND[place].examples:
+                    formatter.write(f"  asbuilt {place} {arguments}".rstrip() + "\n")
 
 
 def _arguments(command: Any, ctx: Any) -> list[Any]:
@@ -93,29 +94,83 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command; raises `UsageError` if there is none of this name."""
-        entry = COMMANDS.get(cmd_name)
-        if entry is None:
-            near = difflib.get_close_matches(cmd_name, COMMANDS, n=1)
-            guess = f"did you mean {near[0]}?" if near else "asbuilt -h lists the commands"
-            raise UsageError(f"there is no command {cmd_name!r}", cure=Cure(guess))
-        function = getattr(import_module(f"asbuilt.cli.{entry.module}"), cmd_name)
-
-        def run(common: Common, call: Callable[[], None]) -> None:
-            with screen_of(common, compiles=entry.compiles):
-                call()
-
-        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        more = inspect.cleandoc(function.__doc__ or "").partition("\n\n")[2]
-        help_text = f"{entry.summary}\n\n{more}".strip()
-        register = alone.command(cmd_name, cls=Command, help=help_text, context_settings=HELP)
-        register(spread(function, run))
-        return typer.main.get_command(alone)
+        entry = _entry(COMMANDS, cmd_name, "asbuilt")
+        return _group(cmd_name, entry) if cmd_name in SUBCOMMANDS else _command(cmd_name, entry)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands of each group with their summaries."""
         for title, entries in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name, entry.summary) for name, entry in entries.items()])
+
+
+class Subcommands(TyperGroup):
+    """The commands of a command, such as those of `fleet`."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of its commands."""
+        return [*SUBCOMMANDS[str(self.name)]]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Import a command; raises `UsageError` if there is none of this name."""
+        entries = SUBCOMMANDS[str(self.name)]
+        return _command(cmd_name, _entry(entries, cmd_name, f"asbuilt {self.name}"))
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands with their summaries."""
+        with formatter.section("Commands"):
+            entries = SUBCOMMANDS[str(self.name)]
+            formatter.write_dl([(name, entry.summary) for name, entry in entries.items()])
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write two examples."""
+        with formatter.section("Examples"):
+            for arguments in COMMANDS[str(self.name)].examples:
+                formatter.write(f"  asbuilt {self.name} {arguments}\n")
+
+
+def _entry(entries: Mapping[str, Entry], name: str, place: str) -> Entry:
+    if name not in entries:
+        near = difflib.get_close_matches(name, entries, n=1)
+        guess = f"did you mean {near[0]}?" if near else f"{place} -h lists the commands"
+        raise UsageError(f"there is no command {name!r}", cure=Cure(guess))
+    return entries[name]
+
+
+def _command(name: str, entry: Entry) -> Any:
+    """Import a command."""
+    function = getattr(import_module(f"asbuilt.cli.{entry.module}"), name)
+
+    def run(common: Common, call: Callable[[], None]) -> None:
+        with screen_of(common, compiles=entry.compiles):
+            call()
+
+    alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+    more = inspect.cleandoc(function.__doc__ or "").partition("\n\n")[2]
+    help_text = f"{entry.summary}\n\n{more}".strip()
+    register = alone.command(name, cls=Command, help=help_text, context_settings=HELP)
+    register(spread(function, run))
+    return typer.main.get_command(alone)
+
+
+def _group(name: str, entry: Entry) -> Any:
+    """Return a command that has commands."""
+    group = typer.Typer(
+        name=name,
+        cls=Subcommands,
+        help=entry.summary,
+        context_settings=HELP,
+        add_completion=False,
+        rich_markup_mode=None,
+    )
+
+    @group.callback(invoke_without_command=True)
+    def begin(context: typer.Context) -> None:
+        if context.invoked_subcommand is None:
+            print(context.get_help())
+            raise typer.Exit(2)
+
+    return typer.main.get_command(group)
 
 
 app = typer.Typer(

@@ -170,6 +170,15 @@ GROUPS: dict[str, dict[str, Entry]] = {
             ),
             "identify_payload",
         ),
+        "watch": Entry(
+            "monitoring",
+            "Watch a log for external torque, contact and fault.",
+            (
+                "study/result.json log.csv --calibrate quiet.csv",
+                "study/result.json log.csv --thresholds thresholds.json -o events",
+            ),
+            "watch",
+        ),
         "export": Entry(
             "robot",
             "Write the identified robot, or many of it, for other software.",
@@ -181,11 +190,23 @@ GROUPS: dict[str, dict[str, Entry]] = {
             bare=("--urdf",),
         ),
     },
+    "Fleets": {
+        "fleet": Entry(
+            "fleet",
+            "Keep the information of many robots over time in a ledger.",
+            (
+                "add ledger ur10e logs/*.parquet --id-from {id}/*.parquet",
+                "identify ledger --id arm-7 --since 2026-03-01",
+            ),
+            "",
+            compiles=False,
+        ),
+    },
     "Complete runs": {
         "demo": Entry(
             "demos.story",
             "Design, record, identify, validate and export on a bundled robot.",
-            ("", "-o demo"),
+            ("", "fleet -o demo"),
             "run_demo",
         ),
         "reproduce": Entry(
@@ -198,3 +219,42 @@ GROUPS: dict[str, dict[str, Entry]] = {
 }
 
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
+
+SUBCOMMANDS: dict[str, dict[str, Entry]] = {
+    "fleet": {
+        "add": Entry(
+            "fleet",
+            "Reduce logs to their information and append it to a ledger.",
+            (
+                "ledger ur10e logs/arm-7/*.parquet --id arm-7",
+                "s3://lab/fleet ur10e logs/*/*.csv --id-from {id}/*.csv",
+            ),
+            "add_logs",
+        ),
+        "rebuild": Entry(
+            "fleet",
+            "Reduce logs of a ledger again, with settings chosen from all.",
+            ("ledger logs/*/*.parquet", "ledger logs/*/*.csv --drive auto"),
+            "rebuild_ledger",
+        ),
+        "show": Entry(
+            "fleet",
+            "Show the robots of a ledger, their logs and settings.",
+            ("ledger", "s3://lab/ledger --thorough --json"),
+            "fleet_overview",
+        ),
+        "identify": Entry(
+            "fleet",
+            "Identify a robot from the ledger alone, in any window of dates.",
+            ("ledger --id arm-7", "ledger --id arm-7 --since 2026-03-01 -o study"),
+            "fleet_identify",
+        ),
+    },
+}
+"""The commands of commands; `EVERY_COMMAND` has them as `fleet add`."""
+
+EVERY_COMMAND = COMMANDS | {
+    f"{name} {sub}": entry
+    for name, entries in SUBCOMMANDS.items()
+    for sub, entry in entries.items()
+}

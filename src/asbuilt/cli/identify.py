@@ -60,7 +60,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a robot from recordings, and validate the result."""
-    from asbuilt.workflow.payload_study import identify_payload
+    from asbuilt.workflow.calibration.payload_study import identify_payload
     from asbuilt.workflow.study import identify as identify_robot
     from asbuilt.writers.reports.study_files import study_document, study_text, write_study
 
@@ -110,6 +110,10 @@ def validate(
         str | None,
         typer.Option("--rollout", metavar="LIST", help=ROLLOUT["help"]),
     ] = None,
+    require: Annotated[
+        bool,
+        typer.Option("--require", help="exit with status 1 if the model predicts worse than CAD"),
+    ] = False,
     unchecked: Unchecked = False,
     reading: ReadingOptions,
     filtering: Filtering,
@@ -118,7 +122,9 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Predict recordings with an identified model, and with CAD beside it."""
+    from asbuilt.tables import wrapped
     from asbuilt.validation.comparison.comparison import compare
+    from asbuilt.validation.generalisation.cad_verdict import cad_verdict
     from asbuilt.workflow.simulation.rollout import roll_out_result, roll_out_robot
     from asbuilt.workflow.validation import validate as validate_result
     from asbuilt.workflow.validation import validate_robot
@@ -137,6 +143,10 @@ def validate(
         checked=not unchecked,
     )
     if Path(result).suffix.lower() != ".json":
+        refuse_idle(
+            "--require compares an identified model with CAD; a robot as described is CAD",
+            {"--require": require},
+        )
         if out is not None:
             raise UsageError(
                 "--out writes the predictions of a result; for a robot as described there is only"
@@ -165,18 +175,23 @@ def validate(
     simulated = roll_out_result(identified, logged, options.rollout, options=options)
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
+    verdicts = [cad_verdict(validation) for validation in validations]
     answer(
         as_json,
         lambda: with_rollouts(validate_document(identified, validations, files=files), simulated),
         lambda: (
             comparison.torque_table().as_text(full)
             + "\n"
-            + comparison.verdict()
+            + "\n".join(wrapped(each.sentence) for each in verdicts)
+            + "\n"
+            + wrapped(comparison.verdict())
             + ("\n" if simulated else "")
             + rollout_text(identified.model, simulated, full=full, cure_text=cure_text)
             + listed_files(files)
         ),
     )
+    if require and any(verdict.is_worse for verdict in verdicts):
+        raise typer.Exit(1)
 
 
 def compare(
@@ -321,7 +336,8 @@ def payload(
             metavar="7%|P1,P2,...",
             help=(
                 "relative error of the torque per ampere, for all joints or each (default: 7% for"
-                " currents, 5% for motor torques, 0 for sensors)"
+                " currents, 5% for motor torques, 0 for sensors; more where gravity torques are"
+                " far from CAD's)"
             ),
         ),
     ] = None,
@@ -333,7 +349,7 @@ def payload(
 ) -> None:
     """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
-    from asbuilt.workflow.payload_study import identify_payload
+    from asbuilt.workflow.calibration.payload_study import identify_payload
     from asbuilt.writers.tables.payload_tables import payload_document, payload_text
     from asbuilt.writers.tables.tabular import write_json
 

@@ -47,12 +47,30 @@ def drives(as_json: AsJson = False) -> None:
     answer(as_json, drives_document, drives_text)
 
 
-def show(robot: Robot, full: Full = False, as_json: AsJson = False) -> None:
-    """Show geometry, mass properties, limits and the physical consistency of every link."""
+def show(robot: RobotOrResult, full: Full = False, as_json: AsJson = False) -> None:
+    """Show geometry, mass properties, limits and the physical consistency of every link.
+
+    Of a result, those of the robot as built, masses of CAD beside them.
+    """
     from asbuilt.writers.tables.robot_tables import robot_document, robot_text
 
-    model = described_robot(robot)
-    answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
+    if Path(robot).suffix.lower() != ".json":
+        model = described_robot(robot)
+        answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
+        return
+    from asbuilt.writers.models.as_built import as_built_model
+    from asbuilt.writers.tables.mass_table import exported_masses, mass_table
+
+    result = read_result(Path(robot))
+    model, masses = as_built_model(result), exported_masses(result)
+    answer(
+        as_json,
+        lambda: robot_document(model) | {"mass": None if masses is None else masses.as_dict()},
+        lambda: (
+            ("" if masses is None else mass_table(masses).as_text(full) + "\n")
+            + robot_text(model, full)
+        ),
+    )
 
 
 def base(robot: Robot, drive: Drive = "none", full: Full = False, as_json: AsJson = False) -> None:
@@ -173,6 +191,22 @@ def export(
         Path | None,
         typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it"),
     ] = None,
+    observer: Annotated[
+        Path | None,
+        typer.Option(
+            "--observer",
+            metavar="FILE",
+            help="C99 code FILE.c and FILE.h of the momentum observer and the dynamics it needs",
+        ),
+    ] = None,
+    thresholds: Annotated[
+        Path | None,
+        typer.Option(
+            "--thresholds",
+            metavar="FILE",
+            help="thresholds.json of `asbuilt watch`, for --observer",
+        ),
+    ] = None,
     original: Annotated[
         Path | None,
         typer.Option(
@@ -221,6 +255,7 @@ def export(
 
     With --ensemble: many robots that the recordings allow, for domain randomization.
     """
+    from asbuilt.workflow.watching.threshold_files import read_thresholds
     from asbuilt.writers.models.export import export_result
 
     bare = urdf == Path()
@@ -244,6 +279,8 @@ def export(
         mjcf=mjcf,
         toml=toml,
         c=c,
+        observer=observer,
+        thresholds=None if thresholds is None else read_thresholds(thresholds),
         original=original,
         nearest=nearest,
         force=force,

@@ -60,7 +60,7 @@ def load_robot(name_or_path: str | os.PathLike[str], *, fixed_base: bool = False
             f" ({bundled})"
         )
     if text.isidentifier() and text.endswith("_description"):
-        return _read(published_description(text))
+        return _read(published_description(text), fixed_base)
     if path.suffix.lower() in known_suffixes():
         raise DescriptionError(
             f"there is no file {text}; give the path of a description ({suffixes})", file=text

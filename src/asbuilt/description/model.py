@@ -22,6 +22,7 @@ from asbuilt.description.parts import (
     JointKind,
     JointLimits,
     Link,
+    MassRange,
     Mimic,
     Symbols,
 )
@@ -39,6 +40,7 @@ __all__ = [
     "JointKind",
     "JointLimits",
     "Link",
+    "MassRange",
     "Mimic",
     "RobotModel",
     "Symbols",
@@ -61,6 +63,7 @@ class RobotModel:
     (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of
     many arms; the motors' torques act on the joints by its transpose. None means T = 1.
     `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`.
+    `mass_ranges` are what is known of masses beside the description, as from a scale.
     `source` says where the description came from, `citation` whose facts they are.
     """
 
@@ -74,6 +77,7 @@ class RobotModel:
     drives_by_design: bool = True
     motor_coupling: Array | None = None
     locked_joints: Mapping[str, float] = field(default_factory=dict)
+    mass_ranges: tuple[MassRange, ...] = ()
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
@@ -121,6 +125,12 @@ class RobotModel:
                 raise DescriptionError(
                     f"{self.name}: frame {frame.name!r} is fixed to link index {frame.link}; the"
                     f" links are 0 to {len(self.links) - 1}, and {ROOT} for the root"
+                )
+        for name in (name for known in self.mass_ranges for name in known.links):
+            if name not in self.link_names:
+                raise DescriptionError(
+                    f"{self.name} has no moving link {name!r}, whose mass is given; its moving"
+                    f" links are {', '.join(self.link_names)}"
                 )
         if self.motor_coupling is not None:
             coupling = np.array(self.motor_coupling, dtype=np.float64)
@@ -293,6 +303,11 @@ class RobotModel:
             frames=frames,
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
+            mass_ranges=tuple(
+                known
+                for known in self.mass_ranges
+                if {*known.links} <= {link.name for link in links}
+            ),
         )
 
     def with_gravity(self, gravity: ArrayLike) -> RobotModel:

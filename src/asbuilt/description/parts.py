@@ -63,6 +63,26 @@ class JointLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class MassRange:
+    """What is known of the mass of links together [kg], such as from a scale.
+
+    Raises `DescriptionError` if no positive mass lies strictly between `lower` and `upper`.
+    """
+
+    links: tuple[str, ...]
+    lower: float = 0.0
+    upper: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.links or not 0.0 <= self.lower < self.upper:
+            raise DescriptionError(
+                f"the mass of {', '.join(self.links) or 'no link'} is given between"
+                f" {self.lower:g} and {self.upper:g} kg; expected a link, and a lower limit of at"
+                " least 0 below the upper one"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class DriveValues:
     """What the description says of one drive.
 

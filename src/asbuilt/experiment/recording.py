@@ -52,6 +52,8 @@ class Recording:
         Commanded positions [rad or m], if logged, shape (N, n).
     servo
         The position servo that follows the command, as far as it is known.
+    started
+        Time from which `t` counts [s since 1970-01-01 UTC]; 0 if the log's clock has no date.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class Recording:
     gains: tuple[float, ...] | None = None
     command: Array | None = None
     servo: PositionServo | None = None
+    started: float = 0.0
 
     def __post_init__(self) -> None:
         t = _read_only(self.t, "t", self.source)

@@ -1,9 +1,18 @@
-from .calibration import find_gains as find_gains
-from .calibration import identify_channels as identify_channels
+from .calibration.payload_study import identify_payload as identify_payload
+from .calibration.torques import find_gains as find_gains
+from .calibration.torques import identify_channels as identify_channels
 from .controller_model import ControllerComparison as ControllerComparison
 from .controller_model import compare_controller as compare_controller
 from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .fleet.identification import FleetIdentification as FleetIdentification
+from .fleet.identification import fleet_identify as fleet_identify
+from .fleet.ledger.ledger import Ledger as Ledger
+from .fleet.ledger.ledger import open_ledger as open_ledger
+from .fleet.overview import fleet_overview as fleet_overview
+from .fleet.reduction.add import FleetOptions as FleetOptions
+from .fleet.reduction.add import add_logs as add_logs
+from .fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
 from .information_efficiency import recorded_information as recorded_information
 from .masses.link_masses import LinkMasses as LinkMasses
 from .masses.link_masses import link_masses as link_masses
@@ -13,7 +22,6 @@ from .options import GainOptions as GainOptions
 from .options import PayloadOptions as PayloadOptions
 from .options import StudyOptions as StudyOptions
 from .options import ValidationOptions as ValidationOptions
-from .payload_study import identify_payload as identify_payload
 from .prepare import Prepared as Prepared
 from .prepare import prepare as prepare
 from .result_files import read_result as read_result
@@ -24,3 +32,7 @@ from .study import Study as Study
 from .study import identify as identify
 from .validation import validate as validate
 from .validation import validate_robot as validate_robot
+from .watching.options import WatchOptions as WatchOptions
+from .watching.threshold_files import read_thresholds as read_thresholds
+from .watching.watch import watch as watch
+from .watching.watched_log import WatchedLog as WatchedLog

@@ -31,8 +31,16 @@ HIGHEST_SHARE = 0.2
 """No cutoff above this share of the sampling rate,"""
 APART = 1.2
 """nor one between that and a fraction of it so small that the two would be one."""
-HOLDOUT = "blocks:2s:3"
-"""What is held out to choose by where the user holds nothing out."""
+HOLDOUT, SHORT_HOLDOUT = "blocks:5s:3", "blocks:2s:3"
+"""What is held out to choose by where the user holds nothing out, and of short recordings.
+
+A low-pass at 3 Hz takes a second of every block: of blocks of 2 s the error is that of what is
+left.
+"""
+SHORT = 15.0
+"""Length [s] below which a recording is short: it has no third block of 5 s."""
+FEWEST = 10
+"""Held-out samples below which a cutoff is not tried."""
 AS_GOOD = 1.02
 """Held-out error, in multiples of the smallest, that counts as equally good.
 
@@ -140,6 +148,7 @@ def sweep_cutoffs(
     recordings: Sequence[Recording],
     *,
     drive: DriveSet,
+    method: str = "auto",
     chain: SignalChain | None = None,
     holdout: str | None = None,
     cutoffs: Sequence[float] | None = None,
@@ -147,8 +156,10 @@ def sweep_cutoffs(
 ) -> CutoffSweep:
     """Choose the lowest cutoff whose held-out error is within 2 % of the smallest.
 
-    Each cutoff is tried with weighted least squares. The error is against the torque as recorded,
-    since the error in the band of the filter falls with the cutoff whatever the model.
+    Each cutoff is tried with the estimator that will be used: what a plain fit makes of directions
+    that the motion hardly excites changes at random from cutoff to cutoff. The error is against the
+    torque as recorded, since the error in the band of the filter falls with the cutoff whatever the
+    model.
 
     Parameters
     ----------
@@ -158,10 +169,12 @@ def sweep_cutoffs(
         Recordings to identify from.
     drive
         Drive terms.
+    method
+        The estimator, a key of `methods`.
     chain
         The signal chain; its cutoff is replaced.
     holdout
-        Rule of what is held out; None: "blocks:2s:3".
+        Rule of what is held out; None: "blocks:5s:3", of recordings below 15 s "blocks:2s:3".
     cutoffs
         Cutoffs to try [Hz]; None: ten around the one that the chain would choose.
     progress
@@ -178,7 +191,8 @@ def sweep_cutoffs(
     assert start.cutoff is not None
     rates = [recording.rate for recording in recordings]
     tried = sorted(map(float, cutoffs or _worth_trying(start.cutoff, HIGHEST_SHARE * min(rates))))
-    rule = holdout or HOLDOUT
+    short = min(recording.duration for recording in recordings) < SHORT
+    rule = holdout or (SHORT_HOLDOUT if short else HOLDOUT)
     parse_rule(rule)
     base = find_base_parameters(model, drive)
     found: list[tuple[float, Array, Array, float, float]] = []
@@ -189,8 +203,10 @@ def sweep_cutoffs(
         at = replace(start, cutoff=cutoff, parallel_cutoff=None)
         try:
             training, held_out = divided(recordings, at, rule)
-            result = identify_samples(model, training, base=base)
+            result = identify_samples(model, training, base=base, method=method)
             judged = [validate_samples(result, held) for held in held_out]
+            if min(item.t.size for item in judged) < FEWEST:
+                raise RecordingError("the low-pass leaves too few samples to validate")
         except AsbuiltError as problem:
             last = problem
             continue

@@ -28,6 +28,8 @@ SLOW = 0.25
 """Top speed, as a share of the limit, below which a joint moved slowly."""
 NARROW = 0.3
 """Position range, as a share of the full one or of a turn, below which a joint moved little."""
+BEYOND = 1.05
+"""Factor by which speeds or accelerations exceed a limit that is said."""
 MOST_NAMED = 3
 """Parameters named in the text."""
 BETTER_MOTION = Cure("design a motion within the limits", call="design_motion")
@@ -81,8 +83,9 @@ class RecordedInformation:
         """
         limits = f"; limits of {joined(list(self.assumed))} assumed" if self.assumed else ""
         paragraphs = [
-            f"Information efficiency {100 * self.efficiency.d_efficiency:.2g} % of the bound by the"
-            f" limits (drive terms {self.drive}{limits})."
+            f"Information efficiency {100 * self.efficiency.d_efficiency:.2g} %, of an upper bound"
+            f" by the limits that no motion attains (drive terms {self.drive}{limits})."
+            f"{self._beyond()}"
         ]
         if self._lacking:
             slow = [k for k in self._lacking if self.top_speed[k] < SLOW]
@@ -126,6 +129,19 @@ class RecordedInformation:
     def _listed(self, how: str, joints: list[int], parts: Array) -> str:
         named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
         return how + joined(named) if named else ""
+
+    def _beyond(self) -> str:
+        outside = [
+            f"{name} {factor:.2g} times"
+            for name, factor in zip(self.joint_names, self.efficiency.beyond, strict=True)
+            if factor > BEYOND
+        ]
+        if not outside:
+            return ""
+        return (
+            " The bound holds for the speeds and accelerations recorded, noise included, which"
+            f" exceed the limits: {joined(outside)}."
+        )
 
     def _worst(self) -> str:
         ratios = self.std_error_ratios

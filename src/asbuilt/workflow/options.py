@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,6 +12,11 @@ from numpy.typing import ArrayLike
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import UsageError
+from asbuilt.identification.bodies.known_masses import (
+    link_masses_from_text,
+    total_mass_from_text,
+    with_known_masses,
+)
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
 from asbuilt.identification.estimators.methods import methods
 
@@ -19,8 +25,6 @@ if TYPE_CHECKING:
 else:
     SignalChain = Any
 
-LONGEST_DELAY = 1.0
-"""Longest delay [s] that is taken."""
 BLOCKS = "blocks:5s:3"
 """The usual rule of what to hold out."""
 
@@ -54,17 +58,8 @@ def horizons(text: str) -> tuple[float, ...]:
     return tuple(dict.fromkeys(values))
 
 
-def _delay(text: str) -> float | Literal["auto"]:
-    if text.strip().lower() == "auto":
-        return "auto"
-    value = float(text)
-    if not abs(value) <= LONGEST_DELAY:
-        raise ValueError(text)
-    return value
-
-
 def _check_rule(rule: str | None) -> None:
-    if rule is not None:
+    if rule not in (None, "auto"):
         from asbuilt.experiment.signal.hold_out import parse_rule  # noqa: PLC0415 (heavy)
 
         parse_rule(rule)
@@ -85,7 +80,10 @@ ROLLOUT = {
 }
 HOLDOUT = {
     "metavar": "RULE",
-    "help": "hold out for validation: blocks:5s:3 (every third 5 s block) or last:0.3",
+    "help": (
+        "hold out for validation: blocks:5s:3 (every third 5 s block), last:0.3, or auto: a third,"
+        " then the final fit is to everything"
+    ),
 }
 
 
@@ -105,11 +103,18 @@ class StudyOptions:
     sweep_cutoff
         Choose the cutoff of the low-pass by held-out error.
     holdout
-        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out.
+        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out. "auto" holds out a
+        third for the verdict and then fits the final values to everything.
     undetermined
         Directions that no motion excites stay at CAD and are named, or are refused.
     mounting
         Gravity points as described, or its direction is identified too.
+    total_mass
+        Limits of the mass of all moving links [kg], or text such as "18.6+-0.1" or
+        "24.2+-0.1,root=5.6"; fit and export keep them.
+    link_mass
+        Limits of the masses of single moving links [kg] by name, or text such as
+        "hand=0.7+-0.05,link_1<=4"; fit and export keep them.
     errors
         Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
     block_seconds
@@ -118,9 +123,6 @@ class StudyOptions:
         Lengths [s] of windows that are simulated, of what is held out.
     refine
         Continue the fit by trajectories ("rollout"), simulated windows of the training data.
-    delay
-        Time [s] by which the torque of a position servo follows its command; "auto" or None:
-        identified.
     same_servos
         Whether all unknown stiffnesses of position servos are one.
     checked
@@ -160,6 +162,18 @@ class StudyOptions:
         "direction of gravity: cad (as described) or estimate",
         choices={"cad": "as_described", "estimate": "estimate"},
     )
+    total_mass: tuple[float, float] | str | None = _option(
+        None,
+        "KG+-KG[,root=KG]",
+        "mass of all moving links, from a scale; with root=KG less that of the root link",
+        parse=total_mass_from_text,
+    )
+    link_mass: Mapping[str, tuple[float, float]] | str | None = _option(
+        None,
+        "NAME=KG+-KG,...",
+        "known masses of moving links: NAME=KG+-KG, NAME<=KG or NAME>=KG",
+        parse=link_masses_from_text,
+    )
     errors: ErrorKind = _option(
         "blocks",
         "KIND",
@@ -175,12 +189,6 @@ class StudyOptions:
         "continue the fit: rollout (by simulated trajectories)",
         choices=("rollout",),
     )
-    delay: float | Literal["auto"] | None = _option(
-        None,
-        "auto|SECONDS",
-        "time by which the torque of a position servo follows its command; auto: identified",
-        parse=_delay,
-    )
     same_servos: bool = field(
         default=False,
         metadata={"help": "position servos are alike: one unknown stiffness for all joints"},
@@ -192,6 +200,17 @@ class StudyOptions:
         _check_rule(self.holdout)
         if isinstance(self.drive, str):
             object.__setattr__(self, "drive", _drive(self.drive))
+        if isinstance(self.total_mass, str):
+            object.__setattr__(self, "total_mass", total_mass_from_text(self.total_mass))
+        if isinstance(self.link_mass, str):
+            object.__setattr__(self, "link_mass", link_masses_from_text(self.link_mass))
+
+    def with_known_masses(self, model: RobotModel) -> RobotModel:
+        """Return a robot with the known masses; raises `UsageError` if it has no such links."""
+        total, links = self.total_mass, self.link_mass or {}
+        if isinstance(total, str) or isinstance(links, str):  # parsed in `__post_init__`
+            return model
+        return with_known_masses(model, total, links)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,7 +247,7 @@ class PayloadOptions:
         The arm is refined with the payload, held by the result, or frozen.
     gain_uncertainty
         Relative error of the torque per ampere, for all joints or each; None: 7 % for currents, 5 %
-        for motor torques, 0 for sensors.
+        for motor torques whose gravity torques agree with CAD's, else 10 % and more, 0 for sensors.
     chain
         The signal chain; what it leaves open is chosen from the loaded recordings.
     holdout

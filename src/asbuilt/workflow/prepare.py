@@ -13,7 +13,7 @@ from asbuilt.experiment.logs.long_recordings import head_of, prepare_logged
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.hold_out import hold_out, usual_rule
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -22,6 +22,8 @@ from asbuilt.workflow.delays import Delays, settle_delays
 
 Progress = Callable[[str, float], None]
 
+AUTOMATIC = "auto"
+"""Hold out for the verdict, by the usual rule, and fit the final values to everything."""
 DIGESTED = 50_000
 """Samples in a fingerprint; a stream holds more at once."""
 
@@ -128,6 +130,7 @@ def prepare(
         settled = resolve_chain(settled, *chosen)
     if settle is not None:
         settled = settle(settled, _chosen_by(recordings))
+    holdout = settled_rule(recordings, holdout)
     digests = tuple(digest(head) for head in _chosen_by(recordings))
     late = Delays(settled, tuple(delays))
     if chosen and not delays and (estimate_delay or settled.delay != "auto"):
@@ -163,6 +166,17 @@ def divided(
         tuple(training for training, _ in parts),
         tuple(replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts),
     )
+
+
+def settled_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | None:
+    """Return the rule that `AUTOMATIC` stands for: that of the shortest recording."""
+    if holdout != AUTOMATIC:
+        return holdout
+    lengths = [
+        float(part.t[-1] - part.t[0])
+        for part in (item if isinstance(item, Samples) else head_of(item) for item in recordings)
+    ]
+    return usual_rule(min(lengths))
 
 
 def digest(recording: Recording) -> str:

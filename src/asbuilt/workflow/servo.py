@@ -11,14 +11,16 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import UsageError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.servo.servo_estimate import UNEXPLAINED, ServoEstimate, estimate_servo
 from asbuilt.tables import rounded
 from asbuilt.validation.comparison.comparison import recording_name
@@ -56,13 +58,12 @@ def settle_servo(
     heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
     chain = options.chain or SignalChain()
     drive = _linear(options.drive) or usual_drive(model, "command")
-    delay = options.delay
     found = estimate_servo(
         model,
         heads,
         drive,
         resolve_chain(chain, *heads),
-        delay=float(delay) if isinstance(delay, int | float) else None,
+        delay=_stated_delay(chain),
         shared=options.same_servos,
         holdout=options.holdout,
     )
@@ -70,8 +71,33 @@ def settle_servo(
         [with_servo(item, found.servo) for item in recordings],
         [with_servo(item, found.servo) for item in validation],
         found,
-        options,
+        replace(options, chain=replace(chain, delay=None)),
     )
+
+
+def servo_delays(
+    found: ServoEstimate | None, recordings: Sequence[Recorded], digests: Sequence[str]
+) -> tuple[RecordingDelay, ...]:
+    """Return the delay of the command of every recording."""
+    if found is None or found.servo.delay is None:
+        return ()
+    error = found.errors.delay if found.errors.delay > 0.0 else np.nan
+    estimate = found.servo.delay if error > 0.0 else np.nan
+    return tuple(
+        RecordingDelay(recording_name(item.source), digest, estimate, error, found.servo.delay)
+        for item, digest in zip(recordings, digests, strict=True)
+    )
+
+
+def _stated_delay(chain: SignalChain) -> float | None:
+    """Return the delay of the command that was given; None if it is to be identified."""
+    if chain.delay is None:
+        return 0.0
+    if isinstance(chain.delay, tuple):
+        raise UsageError(
+            f"the command of a position servo has one delay for all joints, got {len(chain.delay)}"
+        )
+    return None if chain.delay == "auto" else float(chain.delay)
 
 
 def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
@@ -83,23 +109,35 @@ def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
     return driven_by_command(item, servo) if item.command is not None else item
 
 
-def without_unexplained(prepared: Prepared, found: ServoEstimate | None) -> Prepared:
-    """Return the samples without the time that the servo and the robot do not explain."""
-    if found is None or not found.unexplained:
+def explained(
+    prepared: Prepared, recordings: Sequence[Recorded], found: ServoEstimate | None
+) -> Prepared:
+    """Return the samples of commands without the time that the servo does not explain.
+
+    Rows of a joint count only where its direction of motion is known.
+    """
+    if found is None or prepared.chain is None:
         return prepared
-    return replace(
-        prepared,
-        training=tuple(
-            samples.outside(
-                [
-                    (block.start, block.stop)
-                    for block in found.unexplained
-                    if block.source == samples.source
-                ]
-            )
-            for samples in prepared.training
-        ),
-    )
+    kept = []
+    for samples, item in zip(prepared.training, recordings, strict=True):
+        windows = [
+            (block.start, block.stop)
+            for block in found.unexplained
+            if block.source == samples.source
+        ]
+        left = _outside(samples, windows)
+        if left is not None and not isinstance(item, Samples):
+            kept.append(moving_faster(left, head_of(item), prepared.chain.cutoff or np.inf))
+    return replace(prepared, training=tuple(kept)) if kept else prepared
+
+
+def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Samples | None:
+    """Return the samples outside the windows; None if they are too short for the filters."""
+    try:
+        left = samples.outside(windows)
+    except RecordingError:
+        return None
+    return left if left.n_filtered else None
 
 
 def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:

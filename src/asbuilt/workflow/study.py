@@ -21,8 +21,10 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
+from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.as_built_parameters import mass_findings
@@ -33,18 +35,28 @@ from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
+from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
+from asbuilt.validation.generalisation.consolidation import consolidated
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
+from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.delays import delay_findings
+from asbuilt.workflow.delays import Delays, delay_findings
+from asbuilt.workflow.final_fit import fitted_to_everything
 from asbuilt.workflow.options import BLOCKS, StudyOptions
-from asbuilt.workflow.prepare import Prepared, Progress, prepare
-from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo, without_unexplained
+from asbuilt.workflow.prepare import AUTOMATIC, Prepared, Progress, divided, prepare
+from asbuilt.workflow.servo import (
+    explained,
+    servo_delays,
+    servo_findings,
+    servo_notes,
+    settle_servo,
+)
 from asbuilt.workflow.simulation.refinement import (
     Refined,
     judged,
@@ -200,6 +212,7 @@ def identify(
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    model = options.with_known_masses(model)
     trained, others, servo, options = settle_servo(model, trained, others, options)
     if options.rollout and options.holdout is None and not others:
         raise UsageError(
@@ -221,22 +234,34 @@ def identify(
         checked=options.checked,
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
-        estimate_delay=True,
+        estimate_delay=servo is None,
         progress=report,
     )
+    prepared = explained(prepared, trained, servo)
+    if servo is not None:
+        prepared = replace(prepared, delay=servo_delays(servo, trained, prepared.digests))
     report("identify", 0.0)
-    parts = trained_parts(trained, prepared.chain, options.holdout) if options.refine else ()
+    parts = trained_parts(trained, prepared.chain, prepared.holdout) if options.refine else ()
     settled = sweeps[0] if sweeps else None
     study = _concluded(model, prepared, options, settled, servo, report, parts)
-    if not options.rollout and not options.refine:
+    if options.rollout or options.refine:
+        report("roll out", 0.0)
+        held = held_out_parts(trained, others, prepared.chain, prepared.holdout)
+        if study.refined is not None:
+            study = replace(study, refined=judged(study.result, study.refined, held or parts))
+        rollouts = simulated_rollouts(study.result, held, options.rollout)
+        findings = ranked((*study.findings, *rollout_findings(rollouts)))
+        study = replace(study, rollouts=rollouts, findings=findings)
+    if options.holdout != AUTOMATIC or options.refine or not _held_out(prepared):
         return study
-    report("roll out", 0.0)
-    held = held_out_parts(trained, others, prepared.chain, options.holdout)
-    if study.refined is not None:
-        study = replace(study, refined=judged(study.result, study.refined, held or parts))
-    rollouts = simulated_rollouts(study.result, held, options.rollout)
-    findings = ranked((*study.findings, *rollout_findings(rollouts)))
-    return replace(study, rollouts=rollouts, findings=findings)
+    late = Delays(prepared.chain or SignalChain(), () if servo else prepared.delay)
+    everything = replace(prepared, training=divided(trained, late.chain, None, late)[0])
+    whole = explained(everything, trained, servo).training
+    return replace(study, **fitted_to_everything(study.result, study.findings, whole, options))
+
+
+def _held_out(prepared: Prepared) -> bool:
+    return prepared.holdout is not None and prepared.chain is not None
 
 
 def _concluded(
@@ -249,7 +274,6 @@ def _concluded(
     parts: Sequence[Simulated] = (),
 ) -> Study:
     """Identify from prepared samples and say what is to be said."""
-    prepared = without_unexplained(prepared, servo)
     training, held = prepared.training, (*prepared.held_out, *prepared.validation)
     choice = settle_drive(model, training, options.drive)
     mounting = (
@@ -292,9 +316,14 @@ def _concluded(
         holdout=prepared.holdout,
         digests=prepared.digests,
         delay=prepared.delay,
-        notes=(*_notes(mounting, cutoffs), *servo_notes(model, servo)),
+        notes=(
+            *known_mass_notes(model),
+            *_notes(mounting, cutoffs),
+            *servo_notes(model, servo),
+        ),
         servo=None if servo is None else servo.servo,
         servo_errors=None if servo is None else servo.errors,
+        corrected=() if mounting is None else ("mounting",),
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -316,14 +345,23 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *position_noise_findings(
+            result,
+            training,
+            [check.position_noise for check in prepared.checks],
+            prepared.chain.cutoff if prepared.chain else None,
+        ),
         *servo_findings(model, servo, choice.drive),
         *refinement_findings(refined),
+        *cause_findings(attribution),
+        *missing_effect_findings(result),
+        *cad_verdict_findings(validations),
         *mass_findings(result),
     )
     report("compare", 1.0)
     return Study(
         result,
-        ranked(findings),
+        consolidated(findings),
         prepared.checks,
         trained,
         validations,
@@ -417,5 +455,11 @@ def _swept(
         else usual_drive(model, recordings[0].torque_source)
     )
     return sweep_cutoffs(
-        model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report
+        model,
+        recordings,
+        drive=drive,
+        method=options.method,
+        chain=chain,
+        holdout=options.holdout,
+        progress=report,
     )

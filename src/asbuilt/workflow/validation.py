@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from asbuilt.description.load import load_robot
@@ -62,8 +63,9 @@ def validate(
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
     return tuple(
-        validate_samples(result, _prepared(result, recording, options), cad=cad)
+        validate_samples(as_validated(result, samples), samples, cad=cad)
         for recording in as_recordings(result.model, recordings)
+        for samples in (_prepared(result, recording, options),)
     )
 
 
@@ -121,3 +123,14 @@ def _prepared(
         delays=result.delay if options.chain is None else (),
     )
     return (prepared.held_out or prepared.training)[0]
+
+
+def as_validated(result: IdentificationResult, samples: Samples) -> IdentificationResult:
+    """Return the result with the values of its training fit, if the samples were held out of it."""
+    held = result.holdout is not None and samples.source.endswith(f", held out {result.holdout}")
+    if result.trained is None or not held:
+        return result
+    values = zip(result.parameters, result.trained.tolist(), strict=True)
+    return replace(
+        result, parameters=tuple(replace(each, estimate=value) for each, value in values)
+    )

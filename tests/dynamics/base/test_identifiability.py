@@ -11,6 +11,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.base.identifiability import StandardParameter
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.regressor import observation_matrix
 
 RIGHT = np.pi / 2
 
@@ -132,3 +133,40 @@ def test_every_sentence_names_its_parameter_and_its_link(robot: str) -> None:
         ), parameter.why
         assert (parameter.status == "unidentifiable") == (not parameter.members)
         assert ("sum" in reason) == (parameter.status == "grouped")
+
+
+def test_a_link_that_gravity_turns_does_not_act_through_its_inertia_alone() -> None:
+    rows = [DHRow(a=0.5), DHRow(a=0.4, alpha=RIGHT)]
+    found = verdicts(robot_from_dh(rows, name="two").with_gravity((0.0, -9.81, 0.0)))
+    assert found["m1"].why == (
+        "m1: identifiable only in a sum: link 1 only turns about a horizontal axis, so it has an"
+        " effect only through its inertia about that axis and the torque of gravity about it, which"
+        " other parameters have too; it is part of the sums named Izz1 and mx1"
+    )
+
+
+def test_sentences_on_gravity_agree_with_the_torque_of_robots_at_rest() -> None:
+    """Random small robots: who acts through inertia alone has no torque at rest, and the others."""
+    rng, said = np.random.default_rng(4), {"alone": 0, "gravity": 0}
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    for _ in range(60):
+        rows = [
+            DHRow(
+                a=float(rng.choice([0.0, 0.3, 0.5])),
+                b=float(rng.choice([0.0, 0.2])),
+                alpha=float(rng.choice([0.0, RIGHT, -RIGHT, 0.4])),
+            )
+            for _ in range(int(rng.integers(1, 4)))
+        ]
+        model = robot_from_dh(rows, name="small").with_gravity(9.81 * axes[rng.integers(6)])
+        q = rng.uniform(-3.0, 3.0, (8, model.n_joints))
+        at_rest = observation_matrix(model, q, np.zeros_like(q), np.zeros_like(q))
+        for column, (name, verdict) in enumerate(verdicts(model).items()):
+            torque = float(np.abs(at_rest[:, column]).max())
+            if "through its inertia about that axis and the torque of gravity" in verdict.why:
+                said["gravity"] += 1
+                assert torque > 1e-3, (name, verdict.why)
+            elif "only through its inertia about that axis" in verdict.why:
+                said["alone"] += 1
+                assert torque < 1e-9, (name, verdict.why)
+    assert min(said.values()) > 5

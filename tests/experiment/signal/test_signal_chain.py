@@ -74,12 +74,16 @@ def test_torque_and_regressor_columns_stay_equal_through_the_parallel_filter():
 
 
 def test_the_cutoff_follows_the_motion_and_is_stated():
-    slow = prepare_samples(moving(seconds=60.0))
+    slow = prepare_samples(moving(seconds=60.0, noise=0.0))
     stated = next(line for line in slow.provenance if "95 %" in line)
     assert "0.45 Hz" in stated or "0.5 Hz" in stated
     chain = resolve_chain(SignalChain(), moving(seconds=60.0))
-    assert chain.cutoff == pytest.approx(10 * 0.475, rel=0.1)
-    assert prepare_samples(moving(100.0, 20.0), chain).parallel.cutoff == chain.cutoff
+    assert chain.cutoff == 7.0
+    t = np.arange(0.0, 30.0, 0.002)
+    q = np.sin(2 * np.pi * 1.5 * t)[:, None]
+    fast = resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q))
+    assert fast.cutoff == pytest.approx(15.0, rel=0.1)
+    assert prepare_samples(moving(100.0, 20.0), chain).parallel.cutoff == 0.5 * chain.cutoff
 
 
 def test_gaps_become_segments_with_trimmed_ends():
@@ -218,4 +222,4 @@ def test_the_lagging_velocities_of_the_lwr_are_rejected(shared):
         for line in prepare_samples(recording).provenance
         if line.startswith("logged velocities not used")
     )
-    assert "lag the positions' derivative by 37 ms" in verdict
+    assert "lag the positions' derivative by 34 ms" in verdict

@@ -1,10 +1,7 @@
 import numpy as np
 import pytest
 
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.bandwidth import motion_bandwidth
-from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.signal.noise.bandwidth import motion_bandwidth
 from asbuilt.experiment.signal.velocity_choice import compare_velocities
 
 T = np.arange(0, 40, 0.01)
@@ -53,5 +50,3 @@ def test_noise_of_positions_is_no_motion(rate, noise):
     )
     q = q + noise * np.random.default_rng(0).normal(size=q.shape)
     assert motion_bandwidth([q], rate) == pytest.approx(2.0, abs=0.11)
-    chain = resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q))
-    assert chain.cutoff == pytest.approx(min(20.0, 0.2 * rate), abs=1.1)

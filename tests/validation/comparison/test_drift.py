@@ -10,6 +10,7 @@ from asbuilt.errors import RecordingError, ResultError
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.errors.block_scatter import widening
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.workflow.controller_model import compare_controller
@@ -58,7 +59,11 @@ def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
         [joint.torque for joint in found], np.sqrt(np.mean((two - one) ** 2, axis=0)), rtol=1e-6
     )
     rng = np.random.default_rng(0)
-    covariance = before.covariance + after.covariance
+    covariance = sum(
+        result.covariance / np.outer(wide, wide)
+        for result in (before, after)
+        for wide in (widening(result.degrees_of_freedom),)
+    )
     draws = rng.multivariate_normal(np.zeros(after.n_base), covariance, size=40)
     chance = [
         np.mean(predict_torque(after.model, after.base, draw, held).predicted ** 2, axis=0)
@@ -96,7 +101,7 @@ def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, sai
     )
     assert "DIFFERENT" in drift_html(drift)
     if "coulomb" not in drive.split(","):
-        assert drift.n_changed
+        assert drift.n_changed or drift.chi_square.probability < 0.01
     assert not any("DIFFERENT" in line for line in compare_results(after, after).sentences)
 
 

@@ -88,6 +88,10 @@ def test_repetitions_of_a_command_give_the_noise() -> None:
     assert pairs is not None
     assert len(pairs[0][0]) == 4, "each of four windows comes twice"
     assert np.std(pairs[0][0] - pairs[1][0]) == pytest.approx(np.sqrt(2) * 1e-3, rel=0.1)
+    shorter = replace(cut, q=cut.q[:3, :90], starts=cut.starts[:3])
+    again = repeated_windows([cut, shorter, cut])
+    assert again is not None
+    assert again[0][0].shape[1] == 100
     path = delayed_command(cut)
     assert path is not None
     assert np.sqrt(np.mean((path - cut.q) ** 2)) < 2.5e-3

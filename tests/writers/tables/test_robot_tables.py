@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.load import load_robot
 from asbuilt.description.model import Joint, Link, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
 from asbuilt.writers.tables.robot_tables import links_table
@@ -25,3 +26,12 @@ def test_rounding_is_not_shown_as_products_of_inertia() -> None:
     model = RobotModel("two", joints, (Link("ball", ball), Link("askew", askew)))
     products = [row[4] for row in links_table(model).rows]
     assert products == ["0 0 0", "0.001 0 0"]
+
+
+def test_links_without_mass_properties_are_not_called_ok() -> None:
+    model = load_robot("two-link")
+    point = LinkInertia.from_com(1.0, [0.1, 0.0, 0.0], np.zeros((3, 3)))
+    model = model.with_parameters(np.concatenate([np.zeros(10), point.parameters]))
+    verdicts = [row[-1] for row in links_table(model).rows]
+    assert verdicts == ["ALL ZERO: no mass properties", "ZERO INERTIA: a point mass"]
+    assert links_table(load_robot("two-link")).rows[0][-1] == "OK"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -134,6 +134,14 @@ class Filtering:
         int | None,
         typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering"),
     ] = None
+    max_gap: Annotated[
+        float | None,
+        typer.Option(
+            "--max-gap",
+            metavar="SECONDS",
+            help="longest pause that is bridged (default: what the low-pass does not resolve)",
+        ),
+    ] = None
     delay: Annotated[
         str | None,
         typer.Option(
@@ -164,15 +172,20 @@ class Filtering:
             chain,
             cutoff=cutoff,
             decimate=chain.decimate if self.decimate is None else self.decimate,
+            max_gap=chain.max_gap
+            if self.max_gap is None
+            else positive_number("--max-gap", str(self.max_gap)),
             delay=chain.delay if self.delay is None else delay_of(self.delay),
         )
 
 
-def delay_of(text: str) -> float | tuple[float, ...] | str | None:
+def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
     """Return a delay as a signal chain takes it; raises `UsageError` on anything else."""
     word = text.strip().lower()
-    if word in ("auto", "none"):
-        return word if word == "auto" else None
+    if word == "auto":
+        return "auto"
+    if word == "none":
+        return None
     try:
         values = number_list("--delay", text)
     except UsageError:

@@ -27,6 +27,7 @@ PANELS = {
     "Reading": "Reading recordings",
     "ReadingOptions": "Reading recordings",
     "StudyOptions": "Identification",
+    "WatchOptions": "Watching",
 }
 """Heading of the options of a class in the help."""
 

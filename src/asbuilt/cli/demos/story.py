@@ -9,6 +9,7 @@ import typer
 
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import AsJson, Full, Out, writable_folder
+from asbuilt.cli.arguments.spread import one_of
 
 
 def reproduce(out: Out = None, full: Full = False, as_json: AsJson = False) -> None:
@@ -35,6 +36,11 @@ def reproduce(out: Out = None, full: Full = False, as_json: AsJson = False) -> N
 
 
 def demo(
+    which: Annotated[
+        str,
+        typer.Argument(metavar="[WHICH]", help="arm (the whole story of one) or fleet"),
+    ] = "arm",
+    *,
     out: Annotated[
         Path,
         typer.Option(
@@ -43,10 +49,19 @@ def demo(
     ] = Path("asbuilt-demo"),
     as_json: AsJson = False,
 ) -> None:
-    """Run the whole story on bundled data.
+    """Run a complete example on bundled data.
 
-    Move, record, identify, validate, compare, export, report.
+    arm: move, record, identify, validate, compare, export, report. fleet: ten robots over ten
+    days, of which one changes, kept in a ledger.
     """
+    one_of("WHICH", which, ("arm", "fleet"))
+    if which == "fleet":
+        from asbuilt.cli.demos.fleet import fleet_demo_document, fleet_demo_text, run_fleet_demo
+
+        with progress_bar() as report:
+            fleet = run_fleet_demo(out, progress=report)
+        answer(as_json, lambda: fleet_demo_document(fleet), lambda: fleet_demo_text(fleet))
+        return
     from asbuilt.cli.demos.arm import demo_document, demo_text, run_demo
 
     with progress_bar() as report:

@@ -19,6 +19,7 @@ from asbuilt.description.model import (
     Joint,
     JointLimits,
     Link,
+    MassRange,
     Mimic,
     RobotModel,
     Symbols,
@@ -41,6 +42,10 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         "lengths": dict(model.lengths),
         "drives_by_design": model.drives_by_design,
         "locked_joints": dict(model.locked_joints),
+        "mass_ranges": [
+            [list(known.links), known.lower, known.upper if np.isfinite(known.upper) else None]
+            for known in model.mass_ranges
+        ],
         "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
         "joints": [_joint_document(joint) for joint in model.joints],
         "links": [_link_document(link) for link in model.links],
@@ -77,6 +82,14 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             locked_joints={
                 str(name): float(value) for name, value in document.get("locked_joints", {}).items()
             },
+            mass_ranges=tuple(
+                MassRange(
+                    tuple(str(name) for name in links),
+                    float(lower),
+                    np.inf if upper is None else float(upper),
+                )
+                for links, lower, upper in document.get("mass_ranges", ())
+            ),
             source=str(document["source"]),
             citation=str(document["citation"]),
             notes=tuple(str(note) for note in document["notes"]),

@@ -245,6 +245,11 @@ def _in_sums(
     if givers and (column in found.columns or not mine.any()):
         return _gathered(model, link, givers)
     if parent == ROOT:
+        if _bears_weight(model, link, symbol):
+            return (
+                f"{views[link].phrase}, so it has an effect only through its inertia about that"
+                " axis and the torque of gravity about it, which other parameters have too"
+            )
         if np.abs(own[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
             return (
                 f"{views[link].phrase}, so its effect on joint {link + 1} is that of a drive"
@@ -252,6 +257,20 @@ def _in_sums(
             )
         return f"{views[link].phrase}, so it has an effect only through its inertia about that axis"
     return _moved_to_parent(model, found, views, column, symbol)
+
+
+def _bears_weight(model: RobotModel, link: int, symbol: str) -> bool:
+    """Return whether gravity has a torque about the axis of a link on the root, by a parameter.
+
+    `u . (r x g)` for the lever r of the mass (the origin of the frame) or of a first moment (an
+    axis of the frame), u the axis; it vanishes at every angle if g or r is along u.
+    """
+    joint = model.joints[link]
+    if symbol.startswith("I") or not joint.is_revolute:
+        return False
+    lever = joint.after[:3, 3] if symbol == "m" else joint.after[:3, "xyz".index(symbol[1])]
+    across = np.linalg.norm(np.cross(_axis_at_rest(model, link), model.gravity))
+    return bool(np.linalg.norm(lever[:2]) > SMALL and across > SMALL)
 
 
 def _gathered(model: RobotModel, link: int, givers: Sequence[int]) -> str:

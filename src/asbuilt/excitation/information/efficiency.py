@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -19,6 +19,10 @@ from asbuilt.excitation.information.information import Information, mean_informa
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import read_only
+from asbuilt.excitation.torque_limit import TorqueLimit
+
+Limits = tuple[tuple[float, ...], ...]
+"""Lower, upper, velocity, acceleration and torque limits of the joints."""
 
 MOST_SAMPLES = 20000
 """Most samples of a recording that are used; of longer ones every second, third, ..."""
@@ -47,18 +51,22 @@ class JointStates(Protocol):
 class InformationEfficiency:
     """Information of a motion per sample relative to an upper bound that no motion reaches.
 
-    The bound is the best distribution over the states within the limits. `d_efficiency` is
-    `exp((log det M - log det M_bound) / p)`, 0 if a parameter remains undetermined. `by_parameter`
-    (p,) is the variance of each base parameter at the bound over that of the motion; it may exceed
-    1 for some.
+    The bound is the best distribution over the states within the limits, which are widened to hold
+    every state of the motion: otherwise noise of the accelerations, or a wrong limit, would count
+    as information beyond the bound. `d_efficiency` is `exp((log det M - log det M_bound) / p)`, 0
+    if a parameter remains undetermined, never above 1. `by_parameter` (p,) is the variance of each
+    base parameter at the bound over that of the motion; it may exceed 1 for some. `beyond` (n,) is
+    the largest factor by which each joint exceeds its limits, 1 within them.
     """
 
     base: BaseParameters
     d_efficiency: float
     by_parameter: Array
+    beyond: Array
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "by_parameter", read_only(self.by_parameter))
+        object.__setattr__(self, "beyond", read_only(self.beyond))
 
     def __repr__(self) -> str:
         return f"InformationEfficiency({self.base.robot!r}, d_efficiency={self.d_efficiency:.3f})"
@@ -99,8 +107,8 @@ def information_efficiency(
 ) -> InformationEfficiency:
     """Return the information efficiency of recorded states, for equal noise in all joints.
 
-    Limits that the description lacks are those of `MotionBounds.assumed`. Long recordings are
-    thinned evenly. Raises `UsageError` without samples.
+    Limits that the description lacks are those of `MotionBounds.assumed`; all are widened to the
+    states recorded. Long recordings are thinned evenly. Raises `UsageError` without samples.
     """
     step = max(1, -(-len(samples.q) // MOST_SAMPLES))
     q, qd, qdd = (
@@ -109,7 +117,8 @@ def information_efficiency(
     )
     if not len(q):
         raise UsageError("the recording has no samples")
-    base, bound = _bound(model, drive)
+    widened, beyond = _widened(model, q, qd, qdd)
+    base, bound = _bound(model, drive, widened)
     mean = mean_information(Information.of(model, base), q, qd, qdd)
     best = np.diag(np.linalg.inv(bound.information))
     size = np.sqrt(np.maximum(np.diag(bound.information), np.finfo(float).tiny))
@@ -119,19 +128,47 @@ def information_efficiency(
     determined = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
     by_parameter = np.where(determined, best / np.maximum(own, np.finfo(float).tiny), 0.0)
     return InformationEfficiency(
-        base, bound.efficiency(mean) if np.all(kept) else 0.0, by_parameter
+        base,
+        min(bound.efficiency(mean), 1.0) if np.all(kept) else 0.0,
+        by_parameter,
+        beyond,
     )
 
 
-@lru_cache(maxsize=8)
-def _bound(model: RobotModel, drive: DriveSet) -> tuple[BaseParameters, InformationBound]:
-    base = find_base_parameters(model, drive)
+def _widened(model: RobotModel, q: Array, qd: Array, qdd: Array) -> tuple[Limits, Array]:
+    """Return limits that hold all states, and by what factor each joint exceeds its own (n,).
+
+    The factor is rounded up to a digit, so that like recordings share a bound.
+    """
     limits = MotionBounds.assumed(model)
+    fast, steep = np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0)
+    beyond = np.maximum(np.maximum(fast / limits.velocity, steep / limits.acceleration), 1.0)
+    lower, upper = np.minimum(limits.lower, q.min(axis=0)), np.maximum(limits.upper, q.max(axis=0))
+    velocity, acceleration = (
+        limit * np.where(top > limit, np.ceil(10.0 * top / limit) / 10.0, 1.0)
+        for limit, top in ((limits.velocity, fast), (limits.acceleration, steep))
+    )
+    torque, share = MotionBounds.of(model).torque, 1.0
+    if np.any(np.isfinite(torque)):
+        share = max(float(np.abs(TorqueLimit((model,), torque).values(q, qd, qdd)).max()), 1.0)
+    arrays = (lower, upper, velocity, acceleration, torque * np.ceil(10.0 * share) / 10.0)
+    return tuple(tuple(each.tolist()) for each in arrays), beyond
+
+
+@lru_cache(maxsize=8)
+def _bound(
+    model: RobotModel, drive: DriveSet, widened: Limits
+) -> tuple[BaseParameters, InformationBound]:
+    base = find_base_parameters(model, drive)
+    lower, upper, velocity, acceleration, torque = (np.array(each) for each in widened)
+    limits = replace(
+        MotionBounds.assumed(model),
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        acceleration=acceleration,
+    )
     with one_blas_thread():
         return base, information_bound(
-            model,
-            Information.of(model, base),
-            limits,
-            torque=MotionBounds.of(model).torque,
-            rounds=ROUNDS,
+            model, Information.of(model, base), limits, torque=torque, rounds=ROUNDS
         )

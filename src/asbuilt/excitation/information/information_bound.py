@@ -73,7 +73,10 @@ class InformationBound:
         return f"InformationBound(log_det={self.log_det:.2f}, upper={self.upper:.2f})"
 
     def efficiency(self, mean_information: Array) -> float:
-        """Return `exp((log det M - upper) / p)` of a motion's mean information per sample."""
+        """Return `exp((log det M - upper) / p)` of a motion's mean information per sample.
+
+        It is below 1 for states within the bounds.
+        """
         sign, value = np.linalg.slogdet(mean_information)
         return float(np.exp((value - self.upper) / len(mean_information))) if sign > 0 else 0.0
 

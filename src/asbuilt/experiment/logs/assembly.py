@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ def build_recording(
     RecordingError
         If there is neither a time column nor a rate.
     """
-    notes = list(layout.notes)
+    notes, start = list(layout.notes), 0.0
     if layout.time is not None:
         t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
         start = origin if origin is not None else clock_origin(t)
@@ -78,6 +79,7 @@ def build_recording(
         notes=tuple(notes),
         extra=arrays,
         command=command,
+        started=start,
     )
 
 
@@ -146,10 +148,11 @@ def stated_servo(
     return PositionServo(kp=kp, kd=kd, torque_limit=limit)
 
 
-def _per_joint(recording: Recording, name: str, given: object, unknown: float) -> tuple[float, ...]:
+def _per_joint(recording: Recording, name: str, given: Any, unknown: float) -> tuple[float, ...]:
     """Return one number per joint; "auto", NaN and None are `unknown`."""
     listed = given if isinstance(given, list | tuple) else [given]
-    values = [unknown if each in (None, "auto") or each != each else float(each) for each in listed]
+    numbers = [np.nan if each in (None, "auto") else float(each) for each in listed]
+    values = [unknown if np.isnan(each) else each for each in numbers]
     if len(values) not in (1, recording.n_joints):
         raise RecordingError(
             f"{recording.source}: {len(values)} values of {name} for {recording.n_joints} joints"

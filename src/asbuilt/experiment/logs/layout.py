@@ -71,8 +71,8 @@ def find_layout(
     Raises
     ------
     RecordingError
-        If positions are missing, or both torques and commands, columns are missing or claim the same place, or they do
-        not fit the robot's joints.
+        If positions are missing, or both torques and commands, columns are missing or claim the
+        same place, or they do not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
     groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})}, sheet)
@@ -109,6 +109,9 @@ def find_layout(
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(position.names)}
     for quantity, group in chosen.items():
         if quantity == "position":
+            continue
+        if quantity in sheet.columns.extra and len(group.names) == 1:
+            ordered[quantity] = (group.names[0],) * len(labels)
             continue
         try:
             ordered[quantity] = _aligned(source, quantity, group, labels, sheet)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -125,8 +126,7 @@ class RecordingStream:
             f" the first {HEAD}"
         )
         return Samples(
-            *(columns[name][: bounds[-1]] for name in COLUMNS[:-1]),
-            tau_raw=columns["tau_raw"][: bounds[-1]],
+            **cast(Any, {name: held[: bounds[-1]] for name, held in columns.items()}),
             rate=first.rate,
             joint_names=first.joint_names,
             segments=tuple(pairwise(bounds)),
@@ -151,9 +151,9 @@ def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -
     return prepare_samples(recording, chain)
 
 
-def is_long(path: Path) -> bool:
-    """Return whether a file should be read in chunks, by its size."""
+def is_long(path: Path, size: float = LONG) -> bool:
+    """Return whether a file has more bytes than `size` and can be read in chunks."""
     if not path.is_file() or path.suffix == ".toml":
         return False
     stream = log_format(path).stream
-    return stream is not None and stream.n_bytes(path) > LONG
+    return stream is not None and stream.n_bytes(path) > size

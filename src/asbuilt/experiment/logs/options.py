@@ -96,7 +96,7 @@ class ReadingOptions:
     torque_source: TorqueSource | None = field(
         default=None,
         metadata={
-            "help": "where torques come from: sensor, motor, current, or command (a position servo)",
+            "help": "where torques come from: sensor, motor, current or command (a servo)",
             "metavar": "KIND",
             "choices": TORQUE_SOURCES,
         },

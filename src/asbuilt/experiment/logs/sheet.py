@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -124,6 +125,7 @@ class RecordingSheet(_Part):
     names joints that are not identified, with their positions [rad or m] if these are known.
     `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
     of the log. `kp`, `kd` and `torque_limit` are those of the position servo, "auto" if unknown.
+    `date` is when the recording began, in UTC unless it names a time zone.
 
     Examples
     --------
@@ -150,6 +152,7 @@ class RecordingSheet(_Part):
         default_factory=dict
     )
     topic: str | None = None
+    date: datetime | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
         """Return which times (N,) [s] of a recording that began at `start` lie in a window."""

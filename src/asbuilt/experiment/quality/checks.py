@@ -13,13 +13,20 @@ import numpy as np
 from asbuilt.description.locking import lock_findings
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.long_recordings import RecordingStream
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
-from asbuilt.experiment.quality.first_pass import FirstPass, first_pass
+from asbuilt.experiment.quality.first_pass import (
+    FirstPass,
+    as_modelled,
+    credible,
+    first_pass,
+)
 from asbuilt.experiment.quality.motion_checks import DEGREE, in_degrees, motion_findings
+from asbuilt.experiment.quality.position_checks import PositionNoise, position_findings
 from asbuilt.experiment.quality.second_pass import second_pass
 from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed_motion
+from asbuilt.experiment.quality.torque.sign_check import unsigned_findings
 from asbuilt.experiment.quality.torque.signal_checks import filter_findings, saturation_findings
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
 from asbuilt.experiment.recording import Recording
@@ -48,6 +55,9 @@ class RecordingCheck:
         Sampling rate [Hz] and duration [s].
     findings
         What was found, sorted by severity.
+    position_step, position_noise
+        Step of the positions of each joint [rad or m], 0 where none was found, and the spectrum of
+        their noise about the default cutoff [rad^2/Hz]; empty where the clock is wrong.
     """
 
     robot: str
@@ -57,6 +67,8 @@ class RecordingCheck:
     rate: float
     duration: float
     findings: tuple[Finding, ...]
+    position_step: tuple[float, ...] = ()
+    position_noise: tuple[float, ...] = ()
 
     @property
     def errors(self) -> tuple[Finding, ...]:
@@ -211,8 +223,11 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     chunks = recording if isinstance(recording, RecordingStream) else (recording,)
     known = first_pass(model, chunks)
     findings = list(clock_findings(known))
+    noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         findings += _findings_in_time(model, chunks, known)
+        noise = PositionNoise.of(as_modelled(model, credible(head_of(recording))))
+        findings += position_findings(model, noise)
     findings += lock_findings(model.locked_joints)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(
@@ -223,6 +238,8 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         rate=known.rate,
         duration=known.duration,
         findings=ranked(findings),
+        position_step=() if noise is None else tuple(noise.step.tolist()),
+        position_noise=() if noise is None else tuple(noise.density.tolist()),
     )
 
 
@@ -237,6 +254,7 @@ def _findings_in_time(
     revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from motion_findings(model, known, motion)
     yield from saturation_findings(model, known, closer)
+    yield from unsigned_findings(known.torque_range)
     yield from filter_findings(closer.torques, known.rate)
     if motion is not None:
         scale = np.where(revolute & degrees, DEGREE, 1.0)

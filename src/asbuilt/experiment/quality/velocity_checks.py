@@ -33,6 +33,8 @@ class VelocityThresholds:
     and least correlation of each joint."""
     lag: float = 0.3
     """Lag from which it is reported [sampling periods]."""
+    rest: float = 5e-3
+    """Range of positions up to which a joint is at rest, its velocity noise [rad or m]."""
     end: float = 0.4
     """Duration of the ends that a filter may have disturbed [s]."""
     transient: tuple[float, float] = (8.0, 0.2)
@@ -51,9 +53,10 @@ def velocity_findings(
     names = recording.joint_names
     slope = motion.qd
     energy = np.sum(slope**2, axis=0)
-    moving = np.flatnonzero((energy > 0) & (np.std(logged, axis=0) > 0))
+    moves = np.ptp(motion.q, axis=0) > THRESHOLDS.rest
+    moving = np.flatnonzero(moves & (energy > 0) & (np.std(logged, axis=0) > 0))
     if not moving.size:
-        if np.all(logged == 0) and np.any(energy > 0):
+        if np.all(logged == 0) and np.any(moves & (energy > 0)):
             yield Finding(
                 "velocity_zero",
                 "warning",

@@ -33,8 +33,14 @@ LOWEST_RATE = 100.0
 """Lowest rate [Hz] to which logs are thinned."""
 RATE_IN_CUTOFFS = 12.0
 """Lowest rate to which logs are thinned, in position cutoffs."""
-PARALLEL_IN_CUTOFFS = 1.0
-"""Default cutoff of the parallel filter, in position cutoffs."""
+PARALLEL_IN_CUTOFFS = 0.5
+"""Default cutoff of the parallel filter, in position cutoffs.
+
+There the low-pass of the positions, which the torque does not pass, is within 0.2 % of 1; at its
+own cutoff it takes 30 % of the accelerations, and inertias would grow by as much to make up.
+"""
+LOWEST_PARALLEL = 3.0
+"""Default cutoff of the parallel filter [Hz] below which friction and rests of the motion go."""
 OUTPUT_RATE_IN_CUTOFFS = 4.0
 """Default rate after the parallel filter, in its cutoffs."""
 EXACT = 1e-12
@@ -86,7 +92,8 @@ class FilterPlan:
         if not chain.parallel:
             return cls(chain, rate, total or 1, None, None, margin, exact)
         low = chain.parallel_cutoff or min(
-            PARALLEL_IN_CUTOFFS * cutoff, 0.5 * rate / STOP_BAND_EDGE
+            max(PARALLEL_IN_CUTOFFS * cutoff, min(LOWEST_PARALLEL, cutoff)),
+            0.5 * rate / STOP_BAND_EDGE,
         )
         thinning = max(1, int(rate / max(LOWEST_RATE, RATE_IN_CUTOFFS * cutoff) + 1e-9))
         if total is not None:

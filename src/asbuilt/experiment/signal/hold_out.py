@@ -10,6 +10,10 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 
+USUAL_BLOCK = 5.0
+"""Usual length of a block [s]."""
+SHORTEST_DIVIDED = 6.0
+"""Length of a recording [s] below which nothing is held out by default."""
 FORMS = "blocks:5s:3 (every third 5 s block) or last:0.3 (the last 30 %)"
 
 
@@ -61,6 +65,19 @@ def parse_rule(rule: str) -> Blocks | Last:
             )
         return Last(share)
     raise UsageError(f"cannot hold out {rule!r}: give {FORMS}", value=rule)
+
+
+def usual_rule(seconds: float) -> str | None:
+    """Return the rule that holds out a third of a recording of this length; None if too short.
+
+    Blocks of 5 s, of a shorter recording a sixth of it, so that two are held out.
+
+    >>> usual_rule(60.0), usual_rule(15.0), usual_rule(4.0)
+    ('blocks:5s:3', 'blocks:2.5s:3', None)
+    """
+    if seconds < SHORTEST_DIVIDED:
+        return None
+    return f"blocks:{min(USUAL_BLOCK, np.floor(10.0 * seconds / 6.0) / 10.0):g}s:3"
 
 
 def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.bandwidth import motion_bandwidth
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.filter_plan import FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
+from asbuilt.experiment.signal.noise.band_choice import choose_band
 from asbuilt.experiment.signal.resampling import (
     SHORTEST,
     UniformSegment,
@@ -26,14 +26,12 @@ from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
 from asbuilt.experiment.signal.velocity_choice import VelocityVerdict, compare_velocities
 from asbuilt.findings import Cure
 
-POSITION_BANDWIDTHS = 10.0
-"""Default position cutoff, in bandwidths of the motion."""
+UNRESOLVED = 0.25
+"""Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
+quarter.
+"""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
-LOWEST_CUTOFF = 3.0
-"""Lowest default cutoff [Hz]: friction changes sign within a fraction of a second."""
-HIGHEST_CUTOFF = 0.2
-"""Highest default cutoff, as a share of the sampling rate."""
 
 
 def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
@@ -45,12 +43,9 @@ def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> q = np.sin(2.0 * np.pi * 0.5 * t)[:, None]
     >>> round(resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q)).cutoff, 2)
-    5.5
+    7.0
     """
-    chains = [
-        _resolved(chain, *uniform_segments(recording, chain.rate, chain.max_gap)[:2])[0]
-        for recording in recordings
-    ]
+    chains = [_resolved(chain, *_segments(recording, chain)[:2])[0] for recording in recordings]
     return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
 
 
@@ -85,8 +80,11 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     (100.0, 1)
     """
     chain = chain or SignalChain()
-    segments, rate, notes = uniform_segments(recording, chain.rate, chain.max_gap)
+    segments, rate, notes = _segments(recording, chain)
+    is_open = chain.cutoff is None
     chain, chosen = _resolved(chain, segments, rate)
+    if is_open:
+        segments, rate, notes = _segments(recording, chain)
     plan, origin = FilterPlan.of(chain, rate), float(segments[0].t[0])
     segments = _advanced(segments, chain, rate)
     parts = [
@@ -160,9 +158,7 @@ def stream_samples(
         held = joined
         if joined.n_samples < SHORTEST and more:
             continue
-        segments, rate, notes = uniform_segments(
-            joined, plan.rate if plan else chain.rate, chain.max_gap
-        )
+        segments, rate, notes = _segments(joined, chain, plan.rate if plan else None)
         if plan is None:
             chain, chosen = _resolved(chain, segments, rate)
             plan = FilterPlan.of(chain, rate)
@@ -202,6 +198,14 @@ def stream_samples(
                 yield samples
 
 
+def _segments(
+    recording: Recording, chain: SignalChain, rate: float | None = None
+) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
+    """Return uniform segments; pauses that the filter does not resolve do not divide them."""
+    resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
+    return uniform_segments(recording, rate or chain.rate, chain.max_gap, resolved)
+
+
 def _resolved(
     chain: SignalChain, segments: Sequence[UniformSegment], rate: float
 ) -> tuple[SignalChain, tuple[str, ...]]:
@@ -223,14 +227,10 @@ def _resolved(
             value=chain.cutoff,
             lower=0.1 / longest,
         )
+    band = None
     if chain.cutoff is None:
-        bandwidth = motion_bandwidth([segment.q for segment in segments], rate)
-        cutoff = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), HIGHEST_CUTOFF * rate)
-        chain = replace(chain, cutoff=cutoff)
-        notes.append(
-            f"95 % of the velocity's power lies below {bandwidth:.3g} Hz; positions are kept up to"
-            f" {cutoff:.3g} Hz"
-        )
+        band = choose_band(segments, rate)
+        chain = replace(chain, cutoff=band.cutoff)
     if chain.velocity == "auto":
         verdict = _velocity_verdict(chain, segments, rate)
         chain = replace(
@@ -243,6 +243,11 @@ def _resolved(
             " sample",
             cure=Cure("let the chain choose", settings={"velocity": "auto"}),
         )
+    if band is not None:
+        if chain.velocity == "measured":
+            band = choose_band(segments, rate, of_velocity=True)
+            chain = replace(chain, cutoff=band.cutoff)
+        notes.insert(0, str(band))
     if chain.standstill is None and not chain.rests:
         plan = FilterPlan.of(chain, rate)
         fitting = [segment for segment in segments if plan.fits(segment)]

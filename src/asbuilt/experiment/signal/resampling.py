@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.bridging import bridged
 from asbuilt.findings import Cure
 
 GAP = 4.5
@@ -39,16 +40,19 @@ class UniformSegment:
 
 
 def uniform_segments(
-    recording: Recording, rate: float | None = None, max_gap: float | None = None
+    recording: Recording,
+    rate: float | None = None,
+    max_gap: float | None = None,
+    resolved: float = 0.0,
 ) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
     """Return the segments of a recording on a uniform clock, their rate [Hz], and notes.
 
     Rows that are not finite, rows whose time does not increase and rows that repeat the row before
     while the robot moves (a log polled faster than the controller writes) are dropped. A pause
-    longer than `max_gap` [s] (by default 4.5 sampling periods) ends a segment; nothing is
-    interpolated across it. An irregular clock, or one at another rate than `rate`, is resampled by
-    cubic splines through the samples of the segment (error (5/384) h^4 x'''' at step h: Hall and
-    Meyer, Journal of Approximation Theory, 1976).
+    longer than `max_gap` [s] (by default 4.5 sampling periods, or `resolved` [s] if that is longer)
+    ends a segment; shorter ones are bridged by local polynomials. An irregular clock, or one at
+    another rate than `rate`, is resampled by cubic splines through the samples of the segment
+    (error (5/384) h^4 x'''' at step h: Hall and Meyer, Journal of Approximation Theory, 1976).
 
     Raises
     ------
@@ -100,7 +104,14 @@ def uniform_segments(
             value=rate,
             upper=logged_rate,
         )
-    gap = GAP * period if max_gap is None else max_gap
+    gap = max(GAP * period, resolved) if max_gap is None else max_gap
+    recording, kept_rows, filled = bridged(recording, kept_rows, gap, GAP * period)
+    if filled:
+        notes.append(
+            f"{len(filled)} pauses of up to {max(filled):.3g} s, shorter than the filter resolves,"
+            " were bridged by local polynomials"
+        )
+        steps = np.diff(recording.t[kept_rows])
     breaks = np.flatnonzero(steps > gap) + 1
     if breaks.size:
         notes.append(
@@ -125,7 +136,11 @@ def uniform_segments(
         target = _rounded(
             1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks]))
         )
-    if ticks:
+    late = max(
+        float(np.max(np.abs(clock - recording.t[rows])))
+        for rows, (clock, _) in zip(segments, clocks, strict=True)
+    )
+    if ticks and late > JITTER / target:
         notes.append(
             "the time stamps jitter, but the positions are smoother on a uniform clock, which was"
             " used"

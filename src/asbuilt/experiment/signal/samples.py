@@ -49,6 +49,9 @@ class Samples:
         Delays [s] by which the torque was shifted back, one for all joints or each; empty: none.
     delay_errors
         Standard errors [s] of delays that were estimated, which those of a fit allow for.
+    slowest
+        Speed of each joint below which its rows do not count, since the direction of dry friction
+        is unknown; empty: all count.
 
     Raises
     ------
@@ -81,6 +84,7 @@ class Samples:
     provenance: tuple[str, ...] = ()
     delay: tuple[float, ...] = ()
     delay_errors: tuple[float, ...] = ()
+    slowest: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)

@@ -25,7 +25,7 @@ class SignalChain:
     cutoff
         Cutoff [Hz] of the low-pass of the positions, a Butterworth filter forwards and backwards.
     parallel_cutoff
-        Cutoff [Hz] of the parallel filter, by default `cutoff`.
+        Cutoff [Hz] of the parallel filter, by default half of `cutoff`.
     decimate
         Number of logged samples per row in the end.
     rate
@@ -44,7 +44,8 @@ class SignalChain:
     trimmed
         Whether the ends, which the low-pass disturbs, are dropped.
     max_gap
-        Longest pause [s] that is interpolated, by default 4.5 sampling periods.
+        Longest pause [s] that is bridged; by default a quarter of a period of `cutoff`, and at
+        least 4.5 sampling periods.
     rests
         Whether segments in which all joints are at rest are kept.
     standstill

@@ -36,6 +36,15 @@ class BodyBounds:
         """Return the slack of every bound; negative if it is violated."""
         return np.asarray(self.rows @ np.asarray(chi, dtype=np.float64) + self.offsets)
 
+    def wider(self, part: float, chi: ArrayLike) -> BodyBounds:
+        """Return the bounds wider by a part of the size of their terms at chi: rounding."""
+        size = np.abs(self.rows) @ np.abs(np.asarray(chi)) + np.abs(self.offsets)
+        return BodyBounds(self.rows.copy(), self.offsets + part * size, self.labels)
+
+    def raised(self, below: ArrayLike) -> BodyBounds:
+        """Return the bounds as those of `chi - below`."""
+        return BodyBounds(self.rows.copy(), self.slack(below), self.labels)
+
     def and_also(self, other: BodyBounds) -> BodyBounds:
         """Return both sets of bounds together."""
         return BodyBounds(
@@ -54,22 +63,57 @@ def non_negative_drives(prior: CadPrior) -> BodyBounds:
     )
 
 
-def generous_bounds(prior: CadPrior) -> BodyBounds:
-    """Return wide bounds: passive drives, masses and centres of mass of the order of CAD.
+def known_bounds(prior: CadPrior) -> BodyBounds:
+    """Return the bounds of masses that are known beside CAD, as from a scale."""
+    rows: list[Array] = []
+    offsets: list[float] = []
+    labels: list[str] = []
+    for links, lower, upper in prior.mass_ranges:
+        row = np.zeros(len(prior.parameters))
+        row[[10 * link + 9 for link in links]] = 1.0
+        name = " + ".join(f"m{link + 1}" for link in links)
+        if len(links) > 2 and links == tuple(range(links[0], links[-1] + 1)):
+            name = f"m{links[0] + 1} + ... + m{links[-1] + 1}"
+        if lower > 0.0:
+            rows, offsets = [*rows, row], [*offsets, -lower]
+            labels.append(f"{name} >= {lower:.4g} kg (given)")
+        if np.isfinite(upper):
+            rows, offsets = [*rows, -row], [*offsets, upper]
+            labels.append(f"{name} <= {upper:.4g} kg (given)")
+    return BodyBounds(
+        np.array(rows).reshape(-1, len(prior.parameters)), np.array(offsets), tuple(labels)
+    )
 
-    A link has 0.05 to 10 times its CAD mass (or the mass of all links), and its centre of mass is
-    within two reaches of that of CAD.
+
+def certain_bounds(prior: CadPrior) -> BodyBounds:
+    """Return the bounds of passive drives and of known masses."""
+    return non_negative_drives(prior).and_also(known_bounds(prior))
+
+
+def generous_bounds(prior: CadPrior) -> BodyBounds:
+    """Return `certain_bounds` and wide ones: masses and centres of mass of the order of CAD."""
+    return certain_bounds(prior).and_also(wide_bounds(prior))
+
+
+def wide_bounds(prior: CadPrior) -> BodyBounds:
+    """Return bounds of masses and centres of mass of the order of CAD.
+
+    A link has 0.05 to 10 times its CAD mass (or the mass of all links) unless its own is known, and
+    its centre of mass is within two reaches of that of CAD.
     """
+    given = {links[0] for links, _, _ in prior.mass_ranges if len(links) == 1}
     bodies = prior.parameters[: 10 * prior.n_links].reshape(-1, 10)
     total = float(bodies[:, 9].sum())
     far = FARTHEST * float(prior.reach.max())
     masses = {
-        i: (LIGHTEST * body[9], max(HEAVIEST * body[9], total)) for i, body in enumerate(bodies)
+        i: (LIGHTEST * body[9], max(HEAVIEST * body[9], total))
+        for i, body in enumerate(bodies)
+        if i not in given
     }
     centres = {
         i: (body[6:9] / body[9] - far, body[6:9] / body[9] + far) for i, body in enumerate(bodies)
     }
-    return non_negative_drives(prior).and_also(body_bounds(prior, mass=masses, com=centres))
+    return body_bounds(prior, mass=masses, com=centres)
 
 
 def body_bounds(

@@ -74,6 +74,8 @@ class CadPrior:
         Columns of drive parameters bounded by zero.
     notes
         What was corrected or guessed.
+    mass_ranges
+        What is known of masses: links together, counted from 0, with lower and upper limit [kg].
     """
 
     robot: str
@@ -83,6 +85,7 @@ class CadPrior:
     reach: Array
     non_negative: NDArray[np.int64]
     notes: tuple[str, ...] = ()
+    mass_ranges: tuple[tuple[tuple[int, ...], float, float], ...] = ()
 
     def __post_init__(self) -> None:
         for values in (self.parameters, self.strength, self.reach, self.non_negative):
@@ -207,6 +210,10 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         reach=reach,
         non_negative=non_negative_columns(model.n_joints, drive),
         notes=tuple(notes),
+        mass_ranges=tuple(
+            (tuple(model.link_names.index(name) for name in known.links), known.lower, known.upper)
+            for known in model.mass_ranges
+        ),
     )
 
 

@@ -28,8 +28,9 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
 
     The pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a physically consistent link is
     positive semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a negative margin proves
-    beta inconsistent. Armatures among the drive terms must be at least t too; friction is not
-    considered. A semidefinite program; infinite if nothing bounds t.
+    beta inconsistent. Armatures among the drive terms must be at least t too. Other drive
+    parameters that share base parameters with these, such as the offset of a vertical slide, may
+    have any value. A semidefinite program; infinite if nothing bounds t.
 
     Raises
     ------
@@ -43,15 +44,13 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
             f" {values.tolist()}"
         )
     n_links = sum(name.startswith("Ixx") for name in base.standard_names)
-    free = np.array(
-        [
-            j
-            for j, name in enumerate(base.standard_names)
-            if j < 10 * n_links or name.startswith("Ia")
-        ]
+    counted = np.array(
+        [j < 10 * n_links or name.startswith("Ia") for j, name in enumerate(base.standard_names)]
     )
-    armatures = range(10 * n_links, len(free))
-    rows = np.flatnonzero(np.any(base.regrouping[:, free] != 0, axis=1))
+    rows = np.flatnonzero(np.any(base.regrouping[:, counted] != 0, axis=1))
+    shared = np.any(base.regrouping[rows] != 0, axis=0) & ~counted
+    free = np.concatenate([np.flatnonzero(counted), np.flatnonzero(shared)])
+    armatures = range(10 * n_links, int(counted.sum()))
     n = len(free)
     fixed = sparse.hstack(
         [sparse.csc_matrix(base.regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))]
@@ -65,7 +64,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     bodies = sparse.hstack(
         [
             sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-PSEUDO_INERTIA_SVEC)),
-            sparse.csc_matrix((10 * n_links, len(armatures))),
+            sparse.csc_matrix((10 * n_links, n - 10 * n_links)),
             sparse.csc_matrix(np.tile(IDENTITY_SVEC, n_links)[:, None]),
         ]
     )

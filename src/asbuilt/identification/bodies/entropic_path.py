@@ -9,6 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
@@ -18,6 +19,8 @@ DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -
 """Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
 ROUGH = 1e-3
 """Squared distance from the minimum, in squared standard errors, at which a rough fit ends."""
+START_PARTS = (1e-2, 1e-3, 1e-4)
+"""Least pseudo-inertias of the start in those of CAD; the later ones for masses far below CAD."""
 START_SLACK = 0.1
 """Start of bounded drive parameters, in units of their scale."""
 
@@ -76,10 +79,23 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     )
     if np.all(bounds.slack(chi) > 0):
         return chi
-    margin = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
+    margin = np.minimum(1e-3 * np.linalg.norm(bounds.rows, axis=1), 0.25 * _widths(bounds))
     tighter = BodyBounds(bounds.rows, bounds.offsets - margin, bounds.labels)
     p = len(prior.parameters)
     nothing = np.zeros((p + 1, p + 1))
-    return fit_consistent_bodies(
-        prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2
-    ).chi
+    for part in START_PARTS:
+        with suppress(IdentifiabilityError):
+            return fit_consistent_bodies(
+                prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=part
+            ).chi
+    raise IdentifiabilityError(
+        f"the bounds on masses, centres of mass and drives of {prior.robot} are infeasible",
+        cure=Cure("widen the bounds"),
+    )
+
+
+def _widths(bounds: BodyBounds) -> Array:
+    """Return the width of every bound to its opposite, infinite without one."""
+    opposite = np.all(bounds.rows[:, None] == -bounds.rows[None], axis=2)
+    width = bounds.offsets[:, None] + bounds.offsets[None]
+    return np.asarray(np.min(np.where(opposite, width, np.inf), axis=1, initial=np.inf))

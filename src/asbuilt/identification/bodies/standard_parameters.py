@@ -16,7 +16,12 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.bodies.body_bounds import BodyBounds, non_negative_drives
+from asbuilt.identification.bodies.body_bounds import (
+    BodyBounds,
+    known_bounds,
+    non_negative_drives,
+    wide_bounds,
+)
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.bodies.conic_fit import SMALLEST_PART, fit_consistent_bodies, near_one
@@ -36,6 +41,8 @@ parameters, then moves by more than one standard error of its own (Scheffe's bou
 FINE_BARRIER = 1e-12
 LEAST_SHARE = 1e-5
 """Least armature that shares a base parameter with a link, in units of its scale."""
+ROUNDING = 1e-6
+"""Relative violation of a bound that is rounding of the fit."""
 RELATIVE_RESOLUTION = 1e-3
 """Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence."""
 
@@ -189,13 +196,20 @@ def standard_parameters(
     alone = drives.rows[~moving] @ (coordinates.kept @ asked)
     motion = random_motion_rows(model, base)
     of_motion = _joint_rms(motion @ asked, model.n_joints)
+    known = known_bounds(cad).wider(ROUNDING, cad.parameters)
+    shared, passive = shared.and_also(known), drives.and_also(known_bounds(cad))
     with one_blas_thread():
-        chi, part = deepest_inside(cad, coordinates, asked, shared)
+        within = shared.and_also(wide_bounds(cad).wider(ROUNDING, cad.parameters))
+        chi, part = deepest_inside(cad, coordinates, asked, within)
+        if part > EXACT_PART:
+            shared = within
+        else:
+            chi, part = deepest_inside(cad, coordinates, asked, shared)
         exact = part > EXACT_PART and not (nearest and np.any(alone < 0.0))
         consistent = exact or nearest
         if not exact and nearest:
             factor = _distance_factor(asked, motion, information)
-            chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=drives).chi
+            chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=passive).chi
             least = LEAST_SHARE * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
@@ -284,7 +298,7 @@ def _closest_above(
     inertial = 10 * cad.n_links
     below = np.concatenate([floor * cad.parameters[:inertial], np.zeros(len(chi) - inertial)])
     above = replace(cad, parameters=cad.parameters - below)
-    problem = EntropicProblem(above, coordinates, bounds, held=True)
+    problem = EntropicProblem(above, coordinates, bounds.raised(below), held=True)
     return np.asarray(
         problem.fit(None, 1.0, (chi - below)[None], barrier=FINE_BARRIER).chi[0] + below
     )

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
+from asbuilt.identification.calibration.gravity_scale import doubted_gains, gravity_scales
 from asbuilt.identification.result.result import IdentificationResult
 
 USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
@@ -23,8 +24,12 @@ USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
 Currents: data sheets usually state the torque constant to +-10 % (limits: 5.8 % as a standard
 deviation), and neodymium magnets lose about 0.1 % of their field per kelvin, 4 % over 40 K of
 warming; together 7 %. Torques that a controller computes from currents have been calibrated once,
-and warm up too: 5 %. Joint torque sensors are calibrated at the joint. These are assumptions: the
-published gains of a UR10e are 3 to 11 % high.
+and warm up too: 5 %, if gravity torques show that the calibration holds (`gain_errors_of`). Joint
+torque sensors are calibrated at the joint. These are assumptions: the published gains of a UR10e
+are 3 to 11 % high.
+"""
+UNCALIBRATED = 0.1
+"""Standard deviation of the gain of a motor's torque of which nothing shows that it is calibrated.
 """
 COMMON = 1.0 / 3.0
 """Part of the variance common to all joints, which warm up together (4 of 7 %, squared)."""
@@ -54,6 +59,34 @@ def relative_gain_errors(
             " 5% or 0.05"
         )
     return np.broadcast_to(values, (n_joints,)).copy()
+
+
+def gain_errors_of(
+    result: IdentificationResult, source: TorqueSource, stated: ArrayLike | None = None
+) -> Array:
+    """Return the standard deviation of each joint's gain as fractions, (n,), by all that is known.
+
+    Without `stated` ones, those of the torque source, wider by what the gravity torques of the
+    result differ from CAD's beyond its tolerance. Torques of motors count as calibrated, to 5 %,
+    if the gravity torques agree with CAD's; otherwise 10 %.
+    """
+    n = result.model.n_joints
+    usual = relative_gain_errors(source, n, stated)
+    if stated is not None or source not in ("motor", "current"):
+        return usual
+    scales = gravity_scales(result)
+    doubted = doubted_gains(scales)
+    if source == "motor" and (np.all(np.isnan(scales)) or np.any(doubted > 0.0)):
+        usual = np.maximum(usual, UNCALIBRATED)
+    return np.minimum(np.hypot(usual, doubted), MOST)
+
+
+def gains_in_doubt(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:
+    """Return the joints whose gravity torque differs from CAD's beyond its tolerance."""
+    if source not in ("motor", "current"):
+        return ()
+    doubted = doubted_gains(gravity_scales(result))
+    return tuple(result.model.joint_names[k] for k in np.flatnonzero(doubted > 0.0))
 
 
 def gain_covariance(uncertainty: Array) -> Array:

@@ -27,7 +27,8 @@ from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.calibration.gain_uncertainty import (
     arm_by_joint,
     gain_covariance,
-    relative_gain_errors,
+    gain_errors_of,
+    gains_in_doubt,
 )
 from asbuilt.identification.calibration.payload_rows import PayloadRows
 from asbuilt.identification.information.factor_solution import solve_factor
@@ -85,6 +86,8 @@ class Payload:
     gains_by_evidence
         Whether the slopes are exact, by the cause data of the result; else they assume that the arm
         was identified along the present motion, which may understate the error of the centre.
+    gains_in_doubt
+        Joints whose gravity torque in the result is so far from CAD's that gains are doubted.
     projected
         Whether the least-squares estimate was inconsistent and the nearest consistent one replaced
         it.
@@ -111,6 +114,7 @@ class Payload:
     gain_slopes: Array
     gain_uncertainty: Array
     gains_by_evidence: bool
+    gains_in_doubt: tuple[str, ...]
     projected: bool
     determined: tuple[str, ...]
     not_determined: tuple[str, ...]
@@ -208,7 +212,7 @@ def identify_payload_samples(
             f"no samples of {result.robot} under load are given; expected at least one recording"
         )
     source = batches[0].torque_source
-    uncertainty = relative_gain_errors(source, result.model.n_joints, gain_uncertainty)
+    uncertainty = gain_errors_of(result, source, gain_uncertainty)
     name, link, placement = payload_frame(result.model, frame)
     p = result.n_base
     prior, vague = _prior(result), _vague(result.model)
@@ -253,6 +257,7 @@ def identify_payload_samples(
         gain_slopes=reported @ slopes,
         gain_uncertainty=uncertainty,
         gains_by_evidence=result.cause_data is not None,
+        gains_in_doubt=gains_in_doubt(result, source) if gain_uncertainty is None else (),
         projected=projected,
         determined=tuple(
             item for item, well in zip(PAYLOAD_NAMES, determined, strict=True) if well

@@ -13,8 +13,8 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.findings import Cure
+from asbuilt.identification.errors.block_scatter import COVERED
 from asbuilt.identification.errors.uncertainty import (
-    COVERED,
     FEWEST_BLOCKS,
     Uncertainty,
     basis_of,

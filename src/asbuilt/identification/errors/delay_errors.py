@@ -12,19 +12,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.identification.errors.uncertainty import (
-    COVERED,
-    FEWEST_BLOCKS,
-    FEWEST_DEGREES,
-    MOST_LEVERAGE,
-)
+from asbuilt.identification.errors.block_scatter import widening
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, MOST_LEVERAGE
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.result.torque_prediction import model_torque
@@ -130,8 +125,7 @@ def _swell(inverse: Array, grams: Array, scores: Array) -> Array:
         moves[b] = root @ (axes @ ((axes.T @ (root.T @ score)) / np.sqrt(1.0 - leverage)))
         shares[b] = np.diag(inverse @ gram @ inverse) / np.diag(inverse)
     freedom = 1.0 / np.maximum(np.sum(shares**2, axis=0), TINY) - 1.0
-    quantile = stdtrit(np.maximum(freedom, FEWEST_DEGREES), COVERED) / ndtri(COVERED)
-    scatter = np.sum(moves**2, axis=0) * quantile**2 / np.diag(inverse)
+    scatter = np.sum(moves**2, axis=0) * widening(freedom) ** 2 / np.diag(inverse)
     return np.asarray(np.sqrt(np.maximum(scatter, 1.0)))
 
 

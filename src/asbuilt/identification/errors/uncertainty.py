@@ -5,31 +5,32 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.errors.block_scatter import BlockScatter, widening
+from asbuilt.identification.errors.common_growth import common_growth
 from asbuilt.identification.errors.error_basis import ErrorBasis, ErrorKind
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 FEWEST_BLOCKS = 8
 """Blocks below which their scatter gives no usable variance."""
-FEWEST_DEGREES = 3.0
-"""Least degrees of freedom in the widening of a variance."""
-COVERED = 0.975
-"""Upper quantile of the 95 % interval for which standard errors are widened."""
 MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Hold the covariance (p, p), the effective number of samples and how both were estimated."""
+    """Hold the covariance (p, p), the effective number of samples and how both were estimated.
+
+    `scatter` is that of the time blocks, by which parameters are tested; None without blocks.
+    """
 
     covariance: Array
     effective_samples: float
     basis: ErrorBasis
+    scatter: BlockScatter | None = None
 
     @property
     def n_blocks(self) -> int:
@@ -51,7 +52,8 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     are independent after all (Bell & McCaffrey, Survey Methodology 28, 2002; Pustejovsky & Tipton,
     J. Business & Economic Statistics 36, 2018). It allows for any correlation within a block,
     across joints too. A variance from few blocks has few degrees of freedom nu, by Satterthwaite's
-    rule (the variance of the quadratic form for independent residuals). Standard errors are widened
+    rule (the variance of the quadratic form for independent residuals), less for what is common to
+    all variances (`common_growth`). Standard errors are widened
     by the ratio of Student's quantile with nu to the normal one, so that `estimate +- 1.96
     std_error` is a 95 % interval. No variance is smaller than the textbook one, and correlations
     between parameters are the textbook ones, since B blocks do not determine p (p - 1) / 2 of them.
@@ -67,7 +69,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         )
     moves = np.empty((n_blocks, root.shape[1]))
     leverages = np.empty((n_blocks, root.shape[1], root.shape[0]))
-    weight = np.empty((n_blocks, root.shape[0]))
+    weight, trace = np.empty((n_blocks, root.shape[0])), 0.0
     with one_blas_thread():
         for b, (gram, score_b) in enumerate(zip(*block_scores(information, estimate), strict=True)):
             leverage, axes = np.linalg.eigh(gram)
@@ -77,14 +79,17 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
             turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
             leverages[b] = axes @ (leverage[:, None] * turned)
             weight[b] = leverage @ turned**2
+            trace += float(leverage.sum())
         freedom = _degrees_of_freedom(leverages, weight)
-    clustered = np.sum((moves @ root.T) ** 2, axis=0) * (
-        1.0 + 2.0 * _neighbours(information, moves)
-    )
     textbook = np.diag(estimate.covariance)
-    widened = (stdtrit(np.maximum(freedom, FEWEST_DEGREES), COVERED) / ndtri(COVERED)) ** 2
-    variance = np.maximum(clustered * widened, textbook)
     determined = textbook > 0
+    typical = float(np.median(freedom[determined])) if determined.any() else 1.0
+    common = common_growth(information, estimate, moves, trace, typical)
+    parts = np.sqrt(common.factor) * moves @ root.T
+    scatter = BlockScatter.of(parts, freedom, common.variance)
+    variance = np.maximum(
+        np.sum(parts**2, axis=0) * widening(scatter.degrees_of_freedom) ** 2, textbook
+    )
     swell = np.where(determined, np.sqrt(variance / np.where(determined, textbook, 1.0)), 1.0)
     shrinkage = (
         float(np.exp(-2.0 * np.mean(np.log(swell[determined])))) if determined.any() else 1.0
@@ -94,6 +99,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         estimate.covariance * np.outer(swell, swell),
         n_samples * shrinkage,
         replace(basis_of(information, "blocks"), growth=growth),
+        scatter,
     )
 
 
@@ -157,23 +163,3 @@ def _degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     freedom = np.full(len(square), float(len(leverages) - 1))
     np.divide(trace**2, square, out=freedom, where=square > 0)
     return freedom
-
-
-def _neighbours(information: SquareRootInformation, moves: Array) -> float:
-    """Return the correlation of the scores of successive blocks, zero or more.
-
-    The residuals of a fit sum to zero, which alone gives the scores of B blocks a correlation of
-    -1 / (B - 1); that is added back.
-    """
-    blocks = information.blocks
-    adjacent = [
-        b
-        for b in range(len(blocks) - 1)
-        if blocks[b].source == blocks[b + 1].source
-        and 0.0 <= blocks[b + 1].start - blocks[b].stop < 0.5 * (blocks[b].stop - blocks[b].start)
-    ]
-    energy = float(np.sum(moves**2)) / len(moves)
-    if not adjacent or energy == 0.0:
-        return 0.0
-    along = float(np.mean([moves[b] @ moves[b + 1] for b in adjacent])) / energy
-    return float(np.clip(along + 1.0 / (len(moves) - 1), 0.0, 0.5))

@@ -12,7 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.bodies.body_bounds import non_negative_drives
+from asbuilt.identification.bodies.body_bounds import certain_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
@@ -29,6 +29,7 @@ from asbuilt.identification.estimators.consistent_fit import (
     fit_consistent,
     fit_toward_cad,
     quietest_noise,
+    supported_belief,
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import estimator
@@ -90,10 +91,11 @@ def estimate_auto(data: EstimationData) -> Estimate:
 
     1. Weighted least squares; `huber` if more than 7 % of the torques lie beyond 4 robust standard
        deviations, or the residual variance of a joint exceeds 30 robust variances.
-    2. Candidates are `entropic` with weights of CAD of 25 to 1 times the design effect,
-       `consistent`, and the values of step 1, in this order. The first is chosen whose error on
-       other motions is within one standard error of the least; physically inconsistent values
-       only if they are better than every consistent candidate by two.
+    2. Candidates are `entropic` with weights of CAD of 25 to 1 times the design effect, as far as
+       the distance from CAD supports them (`supported_belief`; that of 1 always), `consistent`,
+       and the values of step 1, in this order. The first is chosen whose error on other motions is
+       within one standard error of the least; physically inconsistent values only if they are
+       better than every consistent candidate by one.
 
     The error on other motions is that on groups of time blocks of different motion, held out in
     turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that
@@ -216,9 +218,16 @@ def _candidates(
     candidates, of_joints, K = _Candidates(), consistent.weights, information.base.regrouping
     rough: dict[float, Array] = {}
     if weights:
-        path = EntropicPath.of(prior, Coordinates.of(information.base), non_negative_drives(prior))
-        factors = np.array([training.stacked(of_joints) for training, _ in parts])
-        rough = path.descending(factors, weights)
+        path = EntropicPath.of(prior, Coordinates.of(information.base), certain_bounds(prior))
+        factors = np.array(
+            [each.stacked(of_joints) for each in (*(t for t, _ in parts), information)]
+        )
+        rough, weights = _supported_fits(
+            path,
+            factors,
+            weights,
+            lambda chi, weight: supported_belief(information, prior, of_joints, chi, weight),
+        )
     for weight in weights:
         name = f"entropic (weight {weight:.3g})"
         if weight not in rough:
@@ -227,7 +236,7 @@ def _candidates(
         candidates.add(
             name,
             weight,
-            partial(np.matmul, rough[weight], K.T),
+            partial(np.matmul, rough[weight][:-1], K.T),
             partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints),
         )
     candidates.add(
@@ -251,6 +260,31 @@ def _candidates(
         certain=not free.undetermined and _is_consistent(information, free),
     )
     return candidates
+
+
+def _supported_fits(
+    path: EntropicPath,
+    factors: Array,
+    weights: list[float],
+    supported: Callable[[Array, float], float],
+) -> tuple[dict[float, Array], list[float]]:
+    """Return rough fits by weight, and the weights that the distance from CAD supports.
+
+    The last factor is that of all blocks. Weights above the one that its fit with the strongest
+    weight supports give way to it; the weakest always stays. At weaker weights model errors take
+    links further from CAD than its tolerance does.
+    """
+    effect = weights[-1] / RULES.beliefs[-1]
+    rough = path.descending(factors, weights)
+    fitted = [weight for weight in weights if weight in rough]
+    if not fitted:
+        return rough, weights
+    limit = effect * max(supported(rough[fitted[0]][-1], fitted[0]), RULES.beliefs[-1])
+    kept = [weight for weight in weights if weight <= limit]
+    if len(kept) < len(weights) and limit > kept[0]:
+        rough |= path.descending(factors, [limit])
+        kept = [limit, *kept]
+    return rough, kept
 
 
 def _chosen(

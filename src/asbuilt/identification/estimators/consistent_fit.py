@@ -14,8 +14,8 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import joined
 from asbuilt.identification.bodies.body_bounds import (
     BodyBounds,
+    certain_bounds,
     generous_bounds,
-    non_negative_drives,
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, cad_prior
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
@@ -166,11 +166,7 @@ def fit_toward_cad(
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"unknown metric {metric!r}; available: entropic, euclidean")
     base = information.base
-    limits = (
-        non_negative_drives(prior)
-        if bounds is None
-        else non_negative_drives(prior).and_also(bounds)
-    )
+    limits = certain_bounds(prior) if bounds is None else certain_bounds(prior).and_also(bounds)
 
     with one_blas_thread():
         conic = ConicProblem.of(prior, base.regrouping, limits)
@@ -308,10 +304,30 @@ def _estimate(
     )
 
 
-def _belief_and_root(
+def _known_masses(prior: CadPrior) -> Array:
+    """Return rows (k, n_standard) over standard deviations of masses known within two limits."""
+    known = [each for each in prior.mass_ranges if np.isfinite(each[2])]
+    rows = np.zeros((len(known), len(prior.parameters)))
+    for row, (links, lower, upper) in zip(rows, known, strict=True):
+        row[[10 * link + 9 for link in links]] = np.sqrt(12.0) / (upper - lower)
+    return rows
+
+
+def supported_belief(
     information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
-) -> tuple[float, Array]:
-    """Return the belief in CAD and the root (p, p) of the covariance of beta."""
+) -> float:
+    """Return the weight of CAD that the distance of a fit from CAD supports.
+
+    As many determined parameters as twice the divergence times the weight: the estimate of the
+    precision of a prior by MacKay, Neural Computation 4, 1992. `chi` is the fit with `weight`.
+    """
+    return _supported(*_stacked(information, prior, weights, chi), prior, chi, weight)
+
+
+def _stacked(
+    information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array
+) -> tuple[Array, Array, Array]:
+    """Return rows of the data, of CAD with unit weight, and of drives and known masses."""
     coordinates = Coordinates.of(information.base)
     free = np.hstack([coordinates.kept, coordinates.dependent])
     inertial = 10 * prior.n_links
@@ -319,23 +335,38 @@ def _belief_and_root(
     roots = body_metric_root(halfway, prior.strength)
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
     drives = np.sqrt(DRIVE_RIDGE) / prior.drive_scale[:, None] * free[inertial:]
+    known = _known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
     data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
+    return data, bodies, np.vstack([drives, known])
 
-    def inverse_root(belief: float) -> Array:
-        triangle, _, _, _ = lapack.dgeqrf(
-            np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, drives])), overwrite_a=True
-        )
-        return np.asarray(
-            solve_triangular(np.triu(triangle[: free.shape[1]]), np.eye(free.shape[1]))
-        )
 
-    determined = inertial - float(np.sum((np.sqrt(weight) * bodies @ inverse_root(weight)) ** 2))
-    moved = float(prior.strength @ prior.divergence(chi))
-    belief = min(
-        weight, STRONGEST_BELIEF, max(determined, 1.0) / max(2.0 * moved, np.finfo(np.float64).tiny)
+def _inverse_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:
+    """Return the inverse of the triangular root of the information."""
+    triangle, _, _, _ = lapack.dgeqrf(
+        np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, others])), overwrite_a=True
     )
-    p = len(R)
-    wide = inverse_root(belief)[:p]
+    p = data.shape[1]
+    return np.asarray(solve_triangular(np.triu(triangle[:p]), np.eye(p)))
+
+
+def _supported(
+    data: Array, bodies: Array, others: Array, prior: CadPrior, chi: Array, weight: float
+) -> float:
+    """Return the weight of CAD that the distance of `chi` supports."""
+    root = _inverse_root(data, bodies, others, weight)
+    determined = len(bodies) - float(np.sum((np.sqrt(weight) * bodies @ root) ** 2))
+    moved = 2.0 * float(prior.strength @ prior.divergence(chi))
+    return max(determined, 1.0) / max(moved, float(np.finfo(np.float64).tiny))
+
+
+def _belief_and_root(
+    information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
+) -> tuple[float, Array]:
+    """Return the belief in CAD and the root (p, p) of the covariance of beta."""
+    data, bodies, others = _stacked(information, prior, weights, chi)
+    belief = min(weight, STRONGEST_BELIEF, _supported(data, bodies, others, prior, chi, weight))
+    p = information.base.n_base
+    wide = _inverse_root(data, bodies, others, belief)[:p]
     triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)
     return belief, np.asarray(np.triu(triangle[:p]).T)

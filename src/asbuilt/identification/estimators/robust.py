@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,7 +111,7 @@ def _robust(
             if scale is None and iterations < SCALE_ITERATIONS:
                 sigma = np.array(
                     [
-                        max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(e)))), floor)
+                        max(MAD_TO_SIGMA * float(np.median(np.abs(_counting(e)))), floor)
                         for e in residuals
                     ]
                 )
@@ -200,7 +200,7 @@ def _slope_where_it_counts(
 def outlying_share(data: EstimationData, robust: Estimate) -> tuple[float, float]:
     """Return the share of outliers, and the largest residual variance in robust variances."""
     standard = [
-        np.concatenate(e) / s
+        _counting(e) / s
         for e, s in zip(_residuals(data.rows, robust.beta), robust.sigma, strict=True)
     ]
     share = float(np.mean([np.mean(np.abs(r) > OUTLYING) for r in standard]))
@@ -217,3 +217,10 @@ def _residuals(rows: Rows, beta: Array) -> list[list[Array]]:
         for block in rows
     ]
     return [list(joint) for joint in zip(*blocks, strict=True)]
+
+
+def _counting(residuals: Sequence[Array]) -> Array:
+    """Return the residuals of a joint without those of rows that do not count, which are zero."""
+    together = np.concatenate(residuals)
+    counting = together[together != 0.0]
+    return counting if counting.size else together

@@ -95,7 +95,7 @@ def choose_candidate(
     show. h is the mean leverage of torques, the trace of `W (A + weight P)^-1 W^T` over their
     number: A the information of the rows fitted, P the `prior_information` of CAD (p, p). As well
     means within one standard error of the paired differences (Breiman, Friedman, Olshen & Stone,
-    1984, section 3.4.3). Values that contradict what is certain must be better by two.
+    1984, section 3.4.3). Values that contradict what is certain must be better by `CERTAIN`.
 
     Parameters
     ----------

@@ -33,6 +33,17 @@ def random_motion_rows(
     deviations `rates`, each (n,).
     """
     rng = np.random.default_rng(RANDOM_SEED)
+    q = random_positions(model, rng)
+    qd, qdd = (
+        (rng.uniform(-RANDOM_RATE, RANDOM_RATE, q.shape) for _ in range(2))
+        if rates is None
+        else (deviation * rng.normal(size=q.shape) for deviation in rates)
+    )
+    return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
+
+
+def random_positions(model: RobotModel, rng: np.random.Generator) -> Array:
+    """Return positions (N, n) that are uniform within the limits."""
     limits = [joint.limits for joint in model.joints]
     reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
     low = np.array(
@@ -47,14 +58,7 @@ def random_motion_rows(
             for limit, far in zip(limits, reach, strict=True)
         ]
     )
-    shape = (RANDOM_STATES, model.n_joints)
-    q = rng.uniform(low, high, shape)
-    qd, qdd = (
-        (rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape) for _ in range(2))
-        if rates is None
-        else (deviation * rng.normal(size=shape) for deviation in rates)
-    )
-    return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
+    return np.asarray(rng.uniform(low, high, (RANDOM_STATES, model.n_joints)))
 
 
 def recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:

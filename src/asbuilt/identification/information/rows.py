@@ -70,7 +70,8 @@ class SampleBlock:
     ) -> Iterator[tuple[Array, ...]]:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), in chunks.
 
-        A chunk is valid until the next. `beside` returns further columns of a span of samples, each
+        A chunk is valid until the next. Rows of a joint that moves slower than `samples.slowest`
+        are zero. `beside` returns further columns of a span of samples, each
         (L, n), placed before the torque; `plan` has a spare row for each and one more.
         """
         samples, parallel = self.samples, self.samples.parallel
@@ -85,7 +86,13 @@ class SampleBlock:
             for k, columns in enumerate(rows):
                 for place, values in enumerate(further, start=-len(further)):
                     columns[place] = values[:, k]
-            yield tuple(parallel.apply(columns) if parallel else columns for columns in rows)
+            filtered = tuple(parallel.apply(columns) if parallel else columns for columns in rows)
+            if samples.slowest:
+                speed = samples.qd[span].T
+                speed = np.abs(parallel.apply(np.ascontiguousarray(speed)) if parallel else speed)
+                for columns, own, slowest in zip(filtered, speed, samples.slowest, strict=True):
+                    columns[:, own < slowest] = 0.0
+            yield filtered
 
 
 def sample_blocks(

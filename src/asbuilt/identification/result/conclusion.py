@@ -89,7 +89,12 @@ def conclude(
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
     further_errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
     if further_errors:
-        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + sum(further_errors))
+        beside, scatter = np.sum(further_errors, axis=0), uncertainty.scatter
+        uncertainty = replace(
+            uncertainty,
+            covariance=uncertainty.covariance + beside,
+            scatter=None if scatter is None else scatter.beside(beside),
+        )
     parameters = _parameters(information, estimate, uncertainty, design)
     try:
         margin: float | None = consistency_margin(base, estimate.beta)
@@ -126,10 +131,15 @@ def conclude(
         findings=(*said, *findings),
         notes=(*estimate.notes, *notes),
         errors=uncertainty.basis,
+        scatter=uncertainty.scatter,
         free=(
             None
             if estimate.method == "wls"
-            else free_values(information, design, sum(further_errors) if further_errors else None)
+            else free_values(
+                information,
+                design,
+                np.sum(further_errors, axis=0) if further_errors else None,
+            )
         ),
         **({"provenance": ()} | further),
     )

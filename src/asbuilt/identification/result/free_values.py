@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.arrays import Array
 from asbuilt.codec import stored
 from asbuilt.errors import ResultError
+from asbuilt.identification.errors.block_scatter import BlockScatter
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import SquareRootInformation
@@ -21,13 +22,14 @@ class FreeValues:
     """Hold the p base parameters by weighted least squares without bounds or regularisation.
 
     `estimates` (p,), their block-robust `covariance` (p, p), the `textbook_std_errors` (p,) that
-    were widened for it, and which are `determined` (p,).
+    were widened for it, which are `determined` (p,), and the `scatter` of the time blocks.
     """
 
     estimates: Array
     covariance: Array = field(metadata=stored(encode=packed_triangle, decode=unpacked_symmetric))
     textbook_std_errors: Array
     determined: NDArray[np.bool_]
+    scatter: BlockScatter | None = None
 
     def __post_init__(self) -> None:
         p = len(self.estimates)
@@ -58,9 +60,15 @@ def free_values(
         Covariance (p, p) that fitted nonlinear parameters of drive terms add.
     """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
-    covariance = block_uncertainty(information, fitted).covariance + (
-        0.0 if beside is None else beside
-    )
+    uncertainty = block_uncertainty(information, fitted)
+    covariance, scatter = uncertainty.covariance, uncertainty.scatter
+    if beside is not None:
+        covariance = covariance + beside
+        scatter = None if scatter is None else scatter.beside(beside)
     return FreeValues(
-        fitted.beta, 0.5 * (covariance + covariance.T), fitted.std_errors, fitted.determined
+        fitted.beta,
+        0.5 * (covariance + covariance.T),
+        fitted.std_errors,
+        fitted.determined,
+        scatter,
     )

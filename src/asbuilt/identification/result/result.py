@@ -23,6 +23,7 @@ from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.errors.block_scatter import BlockScatter
 from asbuilt.identification.errors.error_basis import ErrorBasis
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.free_values import FreeValues
@@ -147,6 +148,13 @@ class IdentificationResult:
     servo, servo_errors
         The position servo whose command was the torque, and its standard errors; None for torques
         that were logged.
+    scatter
+        Errors of the time blocks, by which parameters are tested; None without blocks.
+    corrected
+        Causes of the CAD error that the model of the result has already (`mounting`: base tilt).
+    trained
+        Base parameters (p,) of the fit that `validation` is of, if `parameters` are of a further
+        fit to everything; else None.
     """
 
     model: RobotModel
@@ -183,6 +191,9 @@ class IdentificationResult:
     delay: tuple[RecordingDelay, ...] = ()
     servo: PositionServo | None = None
     servo_errors: ServoErrors | None = None
+    scatter: BlockScatter | None = None
+    corrected: tuple[str, ...] = ()
+    trained: Array | None = None
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -204,6 +215,8 @@ class IdentificationResult:
         for name, count in (
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
+            ("trained values", p if self.trained is None else len(self.trained)),
+            ("block errors", p if self.scatter is None else self.scatter.moves.shape[1]),
         ):
             if count != p:
                 raise ResultError(
@@ -273,6 +286,15 @@ class IdentificationResult:
     def dropped(self) -> NDArray[np.bool_]:
         """Which parameters the estimator set to zero, shape (p,)."""
         return np.array([parameter.dropped for parameter in self.parameters])
+
+    @property
+    def degrees_of_freedom(self) -> Array:
+        """Degrees of freedom of each standard error, shape (p,); infinite without time blocks."""
+        return (
+            np.full(self.n_base, np.inf)
+            if self.scatter is None
+            else self.scatter.degrees_of_freedom
+        )
 
     @property
     def errors_sentence(self) -> str:
@@ -346,7 +368,10 @@ class IdentificationResult:
 
         Plain numbers, texts and lists, None for what is undefined.
         """
-        left_out = ("covariance", "textbook_covariance", "singular_values", "cause_data", "free")
+        left_out = (
+            *("covariance", "textbook_covariance", "singular_values", "cause_data"),
+            *("free", "scatter", "trained", "corrected"),
+        )
         document = self._document()
         return {name: value for name, value in document.items() if name not in left_out}
 

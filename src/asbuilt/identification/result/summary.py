@@ -39,6 +39,7 @@ FINDING_LINES = 3
 SPARE = 20
 """Characters that breaking the lines of a finding at spaces may cost."""
 MOST_PARAMETERS = 10
+MOST_LINKS = 8
 UNEXPLAINED = 0.3
 """Relative training error from which the model does not describe the robot."""
 DROPPED = "dropped"
@@ -119,13 +120,28 @@ class Summary:
             f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )
 
-    def with_mass(self, totals: tuple[float | None, float] | None) -> Summary:
-        """Return the summary with the total mass of the links by CAD and as built [kg]."""
+    def with_mass(
+        self,
+        totals: tuple[float | None, float] | None,
+        links: Sequence[tuple[str, float | None, float]] = (),
+    ) -> Summary:
+        """Return the summary with masses by CAD and as built [kg]: total, and each of `links`."""
         if totals is None:
             return self
         cad, built = (significant(mass) for mass in totals)
         mass = ("mass of links", f"CAD {cad} kg, as built {built} kg")
-        return replace(self, heading=(*self.heading[:-1], mass, self.heading[-1]))
+        each = [f"{name} {_mass(cad)} -> {_mass(built)}" for name, cad, built in links]
+        more = [f"and {len(each) - MOST_LINKS} more"] if len(each) > MOST_LINKS else []
+        of_links = ("each link [kg]", "; ".join([*each[:MOST_LINKS], *more]))
+        return replace(
+            self,
+            heading=(
+                *self.heading[:-1],
+                mass,
+                self.heading[-1],
+                *((of_links,) if len(each) > 1 else ()),
+            ),
+        )
 
     def as_csv(self) -> str:
         """Return the table of parameters as CSV, numbers in full."""
@@ -165,6 +181,10 @@ def summarise(
         ),
         verdict=_verdict(result),
     )
+
+
+def _mass(mass: float | None) -> str:
+    return "?" if mass is None else significant(mass)
 
 
 def _verdict(result: IdentificationResult) -> str:
@@ -235,7 +255,8 @@ def _delay_text(result: IdentificationResult) -> str:
 def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:
     """Return the pairs in two columns, a pair that does not fit on a line of its own."""
     lines: list[str] = []
-    width = max(len(text) for _, text in heading[: len(heading) - 1 : 2]) + 2
+    wide = next((k for k, (label, _) in enumerate(heading) if label == "status"), len(heading) - 1)
+    width = max(len(text) for _, text in heading[:wide:2]) + 2
     open_line = ""
     for label, text in heading:
         right = f"{label:<18}{text}"

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
@@ -43,12 +43,14 @@ RULES = DelayRules()
 class DelayFit:
     """Hold the change of the delay [s] from that of the rows, and its standard error.
 
-    `excess` (B,) is the largest residual of a joint in each block, in those of its median block.
+    `excess` (B,) is the largest residual of a joint in each block, in those of its median block;
+    `parameters` (n_standard,) are the standard parameters.
     """
 
     step: float
     std_error: float
     excess: Array
+    parameters: Array
 
 
 def fit_delay(
@@ -60,14 +62,15 @@ def fit_delay(
 ) -> DelayFit:
     """Fit `kp (u - q) - kd qd = W beta + step kp du/dt` with passive drives.
 
-    Links have a prior from CAD. Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
-    everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933).
+    Links have a prior from CAD. Blocks weigh as in `find_scale`. The standard error comes from the
+    scores of time blocks, with everything that is not at its bound free (Frisch and Waugh,
+    Econometrica 1, 1933).
     """
     n, p = len(rows.support), base.n_standard
     prior = np.eye(p + 1) / RULES.drives**2
     for i, metric in enumerate(design.metric):
-        own = slice(10 * i, 10 * i + 10)
-        prior[own, own] = RULES.links * metric
+        link = slice(10 * i, 10 * i + 10)
+        prior[link, link] = RULES.links * metric
     prior[p, p] = 0.0
     start = np.append(design.parameters, 0.0)
     start[10 * n : p] = 0.0
@@ -86,8 +89,8 @@ def fit_delay(
         residuals = [torque - J @ x for J, torque in maps]
         for k, residual in enumerate(residuals):
             own = block_weights(rows, k, residual)
-            left = float(own @ rows.energies(k, residual)) / float(own @ rows.counts)
-            weight[k] = own / max(left, 1e-300)
+            energy = float(residual @ rows.total(k, own) @ residual)
+            weight[k] = own * float(own @ rows.counts[k]) / max(energy, 1e-300)
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
     scores = sum(
         weight[k] * (rows.grams[k] @ residual @ (J[:, free] @ inverse))
@@ -96,11 +99,10 @@ def fit_delay(
     variance, together = float(inverse[-1]), clustered(np.asarray(scores), rows)
     if together.size >= FEWEST_BLOCKS:
         variance = max(variance, float(together @ together) * together.size / (together.size - 1))
-    left = np.array(
-        [rows.energies(k, residual) / rows.counts for k, residual in enumerate(residuals)]
-    )
-    excess = np.sqrt(np.max(left / np.median(left, axis=1)[:, None], axis=0))
-    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess)
+    left = np.array([rows.variances(k, residual) for k, residual in enumerate(residuals)])
+    usual = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.inf for each in left])
+    excess = np.sqrt(np.max(np.nan_to_num(left / usual[:, None]), axis=0))
+    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess, x[:-1])
 
 
 def _coefficients(
@@ -116,7 +118,7 @@ def _coefficients(
     return J, torque
 
 
-def _bounded(normal: Array, right: Array, lower: Array) -> tuple[Array, Array]:
+def _bounded(normal: Array, right: Array, lower: Array) -> tuple[Array, Indices]:
     """Return the solution of normal equations above its bounds, and what is not at a bound."""
     scale = 1.0 / np.sqrt(np.diag(normal))
     root = np.linalg.cholesky(normal * np.outer(scale, scale)).T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.command.saturation import outside_saturation
 from asbuilt.experiment.command.servo_torque import command_rate, held_command, logged_velocity
+from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 BESIDE = 3
 """Further rows of a joint: velocity, rate of the command and control error."""
+FEWEST = 5
+"""Rows of a joint in a block below which it says nothing of the residual."""
 BLOCK = 1.0
 """Length of a time block [s], short enough to leave out contact and little else."""
 TRACE = 1e-13
@@ -36,17 +39,14 @@ TRACE = 1e-13
 class ServoRows:
     """Hold Gram matrices of the rows `[W_k, qd, du/dt, u - q]` of each joint and time block.
 
-    `grams[k]` has shape (B, p_k + 3, p_k + 3) for B blocks, with p_k = `support[k].size`.
+    `grams[k]` has shape (B, p_k + 3, p_k + 3) for B blocks, with p_k = `support[k].size`;
+    `counts` (n, B) are the rows that count.
     """
 
     support: tuple[Indices, ...]
     grams: tuple[Array, ...]
+    counts: Array
     times: tuple[TimeBlock, ...]
-
-    @property
-    def counts(self) -> Array:
-        """Rows of each block, shape (B,)."""
-        return np.array([each.n_samples for each in self.times], dtype=np.float64)
 
     def total(self, joint: int, weight: Array | None = None) -> Array:
         """Return the sum of the Gram matrices of a joint over all blocks, weighted (B,)."""
@@ -56,9 +56,11 @@ class ServoRows:
             )
         )
 
-    def energies(self, joint: int, coefficients: Array) -> Array:
-        """Return the sum of squares in each block of a combination of the rows, shape (B,)."""
-        return np.einsum("i,bij,j->b", coefficients, self.grams[joint], coefficients)
+    def variances(self, joint: int, residual: Array) -> Array:
+        """Return the mean square in each block of a combination of the rows (B,), NaN if few."""
+        energy = np.einsum("i,bij,j->b", residual, self.grams[joint], residual)
+        count = self.counts[joint]
+        return np.where(count >= FEWEST, np.maximum(energy, 0.0) / np.maximum(count, 1), np.nan)
 
 
 def servo_rows(
@@ -72,24 +74,24 @@ def servo_rows(
     """Reduce recordings whose command acts after `delay` [s], without what is held out."""
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=BESIDE)
     grams: list[list[Array]] = []
-    times = []
+    times, counts = [], []
     with one_blas_thread():
         for recording in recordings:
             parts = _channels(recording, chain, delay)
             if holdout is not None:
                 parts = [hold_out(each, holdout)[0] for each in parts]
             for block in sample_blocks(model, [parts[-1]], BLOCK):
-                sums = None
-                for chunk in block.chunks(
-                    plan, lambda span, parts=parts: [each.tau[span] for each in parts[:-1]]
-                ):
+                sums, count = None, np.zeros(model.n_joints)
+                for chunk in block.chunks(plan, _beside(parts[:-1])):
                     own = [rows @ rows.T for rows in chunk]
+                    count += [np.count_nonzero(np.any(rows != 0.0, axis=0)) for rows in chunk]
                     sums = own if sums is None else [a + b for a, b in zip(sums, own, strict=True)]
                 if sums is not None:
                     grams.append(sums)
+                    counts.append(count)
                     times.append(replace(block.time, source=recording.source))
     joints = tuple(np.array(own) for own in zip(*grams, strict=True))
-    return ServoRows(plan.support, joints, tuple(times))
+    return ServoRows(plan.support, joints, np.transpose(counts), tuple(times))
 
 
 def _channels(recording: Recording, chain: SignalChain, delay: float) -> list[Samples]:
@@ -100,7 +102,13 @@ def _channels(recording: Recording, chain: SignalChain, delay: float) -> list[Sa
         command_rate(recording, delay),
         held_command(recording, delay) - recording.q,
     )
-    return [
+    found = [
         outside_saturation(prepare_samples(replace(recording, tau=each + trace), chain), recording)
         for each in signals
     ]
+    return [*found[:-1], moving_faster(found[-1], recording, chain.cutoff or np.inf)]
+
+
+def _beside(parts: Sequence[Samples]) -> Callable[[slice], list[Array]]:
+    """Return what gives the signals of samples on a span."""
+    return lambda span: [each.tau[span] for each in parts]

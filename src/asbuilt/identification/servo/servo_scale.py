@@ -142,8 +142,10 @@ def _own_scale(
 
 def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
     """Return `1 / (1 + r / median(r))` with the residual variance r of a joint in each block."""
-    left = np.maximum(rows.energies(k, residual), 0.0) / rows.counts
-    return np.asarray(1.0 / (1.0 + left / max(float(np.median(left)), 1e-300)))
+    left = rows.variances(k, residual)
+    if np.all(np.isnan(left)):
+        return np.ones(left.size)
+    return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
 
 
 def clustered(scores: Array, rows: ServoRows) -> Array:

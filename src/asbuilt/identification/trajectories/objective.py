@@ -23,7 +23,7 @@ DELAY_SCALE = 1e-3
 """Unit of the delay in the coordinates [s]."""
 DRIVE_RIDGE = 1e-4
 """Weight of drive parameters toward their start, which matters only if they are undetermined."""
-SERVO_SPREAD = np.array([1.0, 5.0])
+SERVO_SPREAD = np.array([1.0, 20.0])
 """Prior standard deviation of the logarithm of a common stiffness, and of the delay [ms]."""
 
 MOSTLY = 0.5

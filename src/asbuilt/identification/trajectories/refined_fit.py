@@ -13,7 +13,7 @@ from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.trajectories.objective import Objective, Point
-from asbuilt.identification.trajectories.refinement import Refinement, refine
+from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
@@ -23,6 +23,10 @@ SAME_SAMPLES = 0.01
 where trajectories leave a direction open."""
 BELIEF = 10.0
 """Weight of the divergence of links from CAD: about a third of a link, in every direction."""
+STIFFER = 4.0
+"""Factor of the stiffness of the other start of an unknown servo."""
+FEW = Steps(rounds=1, most=8)
+"""Steps by which starts are compared."""
 MOST_SECONDS = 60.0
 """Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
 
@@ -114,7 +118,10 @@ def refine_fit(
         free_stiffness and servo is not None,
         free_delay and servo is not None,
     )
-    found = refine(objective, start if begin is None else Point(begin, servo), progress=progress)
+    first = start if begin is None else Point(begin, servo)
+    if objective.free_stiffness and servo is not None:
+        first = _better_start(objective, first, servo)
+    found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
     p = base.n_base
     beta = base.regrouping @ found.point.chi
@@ -164,6 +171,23 @@ def refine_fit(
         float(np.sqrt(covariance[p + 2 * n, p + 2 * n])) if objective.free_delay else np.nan,
         stiffness,
     )
+
+
+def _better_start(objective: Objective, start: Point, servo: PositionServo) -> Point:
+    """Return the start, or one with stiffer servos and no delay, after a few steps of each.
+
+    Stiffness, damping and delay of an unknown servo trade off, so that a search may end beside the
+    best of them; a few steps show which start leads lower under the same weights.
+    """
+    chi = start.chi.copy()
+    links = 10 * objective.n_links
+    chi[:links] = objective.prior.parameters[:links]
+    chi[links:] *= STIFFER
+    stiffer = replace(servo, kp=tuple(STIFFER * kp for kp in servo.kp), delay=0.0)
+    tried = [refine(objective, each, steps=FEW) for each in (start, Point(chi, stiffer))]
+    weights = tried[0].weights
+    costs = [objective.cost(each.point, each.motions, weights) for each in tried]
+    return tried[int(np.argmin(costs))].point
 
 
 def _thinned(windows: Sequence[Windows]) -> tuple[Windows, ...]:

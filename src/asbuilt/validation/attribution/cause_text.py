@@ -53,8 +53,14 @@ def sentences_on_causes(
     missing = frozenset(fits.causes) - set(weighed)
     missing -= {"payload"} if "links" in weighed else frozenset()
     missing -= choice.rival.causes if choice.rival is not None else frozenset()
+    corrected = frozenset(fits.result.corrected) - set(weighed)
+    missing -= corrected
     if missing and choice.undecided is None:
         found.append(f"Not needed to explain this recording: {_listed(missing)}.")
+    if corrected:
+        found.append(
+            f"Corrected in this result, so no longer part of the error: {_listed(corrected)}."
+        )
     return tuple(found)
 
 

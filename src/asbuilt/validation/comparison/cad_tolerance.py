@@ -15,11 +15,16 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import UsageError
+from asbuilt.identification.errors.block_scatter import (
+    mean_degrees,
+    student_probability,
+    summed_degrees,
+    widening,
+)
 from asbuilt.validation.comparison.significance import (
     ChiSquare,
     benjamini_hochberg,
     chi_square,
-    two_sided_probability,
 )
 
 WIDEST = 100.0
@@ -134,29 +139,45 @@ def check_tolerance(
     tested: ArrayLike,
     *,
     level: float,
+    degrees_of_freedom: ArrayLike | None = None,
 ) -> ToleranceTest:
     """Test differences from CAD (p,) with their covariance (p, p) against tolerances.
 
-    `tested` (p,) selects parameters.
+    `tested` (p,) selects parameters; `degrees_of_freedom` (p,) are those of the variances, widened
+    for them.
     """
     chosen = np.flatnonzero(np.asarray(tested))
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
+    freedom = (
+        np.full(len(chosen), np.inf)
+        if degrees_of_freedom is None
+        else np.asarray(degrees_of_freedom, dtype=np.float64)[chosen]
+    )
+    wide = widening(freedom)
+    sampled = np.asarray(covariance, dtype=np.float64)[own] / np.outer(wide, wide)
 
     def claimed(factor: float) -> Array:
-        return np.asarray(
-            np.asarray(covariance)[own] + tolerance.scaled(factor).covariance(model, base)[own]
-        )
+        return np.asarray(sampled + tolerance.scaled(factor).covariance(model, base)[own])
 
-    held = chi_square(d, claimed(1.0))
+    def degrees_of(whole: Array) -> Array:
+        own, known = np.diag(sampled), np.diag(whole) - np.diag(sampled)
+        return summed_degrees((own, freedom), (known, np.full(len(d), np.inf)))
+
+    def together(factor: float) -> ChiSquare:
+        whole = claimed(factor)
+        return chi_square(d, whole, mean_degrees(degrees_of(whole)))
+
+    held, of_each = together(1.0), degrees_of(claimed(1.0))
+    error = np.sqrt(np.diag(claimed(1.0)))
     exceeded = (
-        benjamini_hochberg(two_sided_probability(d / np.sqrt(np.diag(claimed(1.0))))) <= level
+        benjamini_hochberg(student_probability(d / (error * widening(of_each)), of_each)) <= level
     )
     return ToleranceTest(
         chi_square=held,
         needed=(
             None
             if held.probability > level
-            else _widening(lambda factor: chi_square(d, claimed(factor)).probability - level)
+            else _widening(lambda factor: together(factor).probability - level)
         ),
         beyond=tuple(base.names[j] for j, out in zip(chosen, exceeded, strict=True) if out),
     )

@@ -34,7 +34,8 @@ class ComparedParameter:
     | attribute | meaning |
     |---|---|
     | `sigmas` | difference in standard errors |
-    | `p_value` | probability of as large a difference by chance |
+    | `p_value` | probability of as large a difference by chance (Student) |
+    | `degrees_of_freedom` | of the standard error; None: many |
     | `false_discovery`, `holm` | the same for as many tests (Benjamini and Hochberg; Holm) |
     | `torque` | RMS torque of the difference at every joint, on the validation motion |
     | `torque_total` | the same over all joints |
@@ -62,6 +63,7 @@ class ComparedParameter:
     matters: bool | None = None
     words: str = ""
     shared_with: tuple[str, ...] = ()
+    degrees_of_freedom: float | None = None
 
     @property
     def interval(self) -> tuple[float, float] | None:

@@ -12,19 +12,18 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.findings import joined
+from asbuilt.identification.errors.block_scatter import student_probability
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.tables import Table, share, significant, stacked, wrapped
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter, parameter_table
+from asbuilt.validation.comparison.equal_terms import tested_values
 from asbuilt.validation.comparison.parameter_text import parameter_texts
 from asbuilt.validation.comparison.significance import (
     ChiSquare,
     benjamini_hochberg,
-    chi_square,
     holm,
-    probability_text,
-    two_sided_probability,
 )
 from asbuilt.validation.comparison.torque_cost import torque_cost
 from asbuilt.validation.comparison.torque_error_table import torque_error_table
@@ -46,7 +45,7 @@ class Comparison:
     | `parameters` | base parameters by design and as built |
     | `torque` | pairs of metrics (CAD, as built) on each recording, the one to validate on first |
     | `level` | false discovery rate at which a parameter differs |
-    | `chi_square` | test of all parameters with a CAD value at once |
+    | `chi_square` | test of all parameters with a CAD value at once, by weighted least squares |
     | `tolerance`, `chi_square_tolerance` | tolerances of CAD, and the same test with them |
     | `tolerance_needed` | factor on the tolerances that covers the differences; None if 1 does |
     | `beyond_tolerance` | names of the parameters that exceed their tolerances |
@@ -138,7 +137,7 @@ class Comparison:
         """Return the tests of all parameters at once, as sentences."""
         found = []
         if self.chi_square is not None and self.chi_square.degrees:
-            found.append(f"All CAD values at once: {_chi_square(self.chi_square)}.")
+            found.append(f"All CAD values at once: {self.chi_square.text}.")
         if self.chi_square_tolerance is not None and self.tolerance is not None:
             claimed = (
                 f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of"
@@ -146,7 +145,7 @@ class Comparison:
             )
             within = self.chi_square_tolerance.probability > self.level
             found.append(
-                f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)}; CAD is"
+                f"With tolerances of {claimed}: {self.chi_square_tolerance.text}; CAD is"
                 f" {'within' if within else 'beyond'} its tolerances."
             )
             if self.tolerance_needed is not None:
@@ -264,7 +263,8 @@ def compare(
     tested = determined & np.isfinite(values)
     difference = np.where(tested, result.estimates - values, np.nan)
     sigmas = difference[tested] / result.std_errors[tested]
-    p_values = two_sided_probability(sigmas)
+    freedom = result.degrees_of_freedom
+    p_values = student_probability(sigmas, freedom[tested])
     discovery, strict = benjamini_hochberg(p_values), holm(p_values)
     cost = (
         None
@@ -308,6 +308,7 @@ def compare(
             found = replace(
                 found,
                 sigmas=float(sigmas[place]),
+                degrees_of_freedom=float(freedom[j]) if np.isfinite(freedom[j]) else None,
                 verdict="differs" if discovery[place] <= level else "agrees",
                 p_value=float(p_values[place]),
                 false_discovery=float(discovery[place]),
@@ -326,7 +327,7 @@ def compare(
         compared.append(found)
     held = (
         None
-        if tolerance is None
+        if tolerance is None or not tested.any()
         else check_tolerance(
             tolerance,
             cad or result.model,
@@ -335,6 +336,7 @@ def compare(
             result.covariance,
             tested,
             level=level,
+            degrees_of_freedom=freedom,
         )
     )
     return Comparison(
@@ -345,24 +347,13 @@ def compare(
         parameters=tuple(compared),
         torque=_paired(result, cad, values, validation),
         level=level,
-        chi_square=(
-            chi_square(difference[tested], result.covariance[np.ix_(tested, tested)])
-            if tested.any()
-            else None
-        ),
+        chi_square=tested_values(result).test_against(values) if tested.any() else None,
         chi_square_tolerance=None if held is None else held.chi_square,
         tolerance=tolerance,
         tolerance_needed=None if held is None else held.needed,
         beyond_tolerance=() if held is None else held.beyond,
         errors=result.errors_sentence,
         judged_by="" if result.cause_data is None else recording_name(result.cause_data.judged_by),
-    )
-
-
-def _chi_square(test: ChiSquare) -> str:
-    return (
-        f"chi-square {significant(test.statistic)} with {test.degrees} degrees of freedom, p"
-        f" {probability_text(test.probability)}"
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asbuilt.errors import ResultError
+from asbuilt.identification.errors.block_scatter import student_probability
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
@@ -30,15 +31,12 @@ from asbuilt.validation.comparison.drift_text import (
     friction_sentences,
     other_drives_sentence,
 )
-from asbuilt.validation.comparison.equal_terms import ComparedValues, on_equal_terms
+from asbuilt.validation.comparison.equal_terms import Between, ComparedValues, on_equal_terms
 from asbuilt.validation.comparison.parameter_text import parameter_texts
 from asbuilt.validation.comparison.significance import (
     ChiSquare,
     benjamini_hochberg,
-    chi_square,
     holm,
-    probability_text,
-    two_sided_probability,
 )
 from asbuilt.validation.comparison.torque_change import (
     JointChange,
@@ -101,11 +99,7 @@ class Drift:
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
         compared = sum(parameter.sigmas is not None for parameter in self.parameters)
-        together = (
-            f"all at once: chi-square {significant(self.chi_square.statistic)} with"
-            f" {self.chi_square.degrees} degrees of freedom, p"
-            f" {probability_text(self.chi_square.probability)}"
-        )
+        together = f"all at once: {self.chi_square.text}"
         return (
             f"{self.n_changed} of {compared} parameters {self._changed} (false discovery rate"
             f" {percentage(self.level, 0)}); {together}."
@@ -286,14 +280,13 @@ def compare_results(
         else on_equal_terms(before, after)
     )
     difference = second.estimates[two] - first.estimates[one]
-    covariance = first.covariance[np.ix_(one, one)] + second.covariance[np.ix_(two, two)]
-    together = first.even_covariance[np.ix_(one, one)] + second.even_covariance[np.ix_(two, two)]
-    error = np.sqrt(np.diag(covariance))
+    between = Between(first, second, one, two)
+    error = between.std_errors
     dropped = first.dropped[one] | second.dropped[two]
     determined = first.determined[one] & second.determined[two]
     tested = determined & ~dropped & (error > 0)
     sigmas = difference[tested] / error[tested]
-    p_values = two_sided_probability(sigmas)
+    p_values = student_probability(sigmas, between.degrees_of_freedom[tested])
     tests = np.full((4, len(names)), np.nan)
     tests[:, tested] = sigmas, p_values, benjamini_hochberg(p_values), holm(p_values)
     cost = left = None
@@ -303,7 +296,7 @@ def compare_results(
         whole[two] = difference
         cost = torque_cost(after.cause_data, after.base, whole)
         left = after.cause_data.error_of(after.base.names, after.estimates)
-        joints = joint_changes(after, names, difference, covariance)
+        joints = joint_changes(after, names, difference, between.covariance, between.mean_degrees)
     texts = parameter_texts(after.base)
     changed = tests[2] <= level
     own = np.zeros(len(names), dtype=bool)
@@ -351,7 +344,7 @@ def compare_results(
         joint_names=after.joint_names,
         units=torque_units(after.model),
         parameters=changes,
-        chi_square=chi_square(difference[tested], together[np.ix_(tested, tested)]),
+        chi_square=between.test(tested),
         level=level,
         sentences=(
             *other_drives_sentence(before, after, said),

@@ -8,6 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
+from asbuilt.identification.errors.block_scatter import (
+    BlockScatter,
+    mean_degrees,
+    summed_degrees,
+    widening,
+)
+from asbuilt.validation.comparison.significance import ChiSquare, chi_square, joint_test
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
@@ -27,6 +34,7 @@ class ComparedValues:
     textbook_std_errors: Array
     determined: Mask
     dropped: Mask
+    scatter: BlockScatter | None = None
 
     @classmethod
     def own(cls, result: IdentificationResult) -> ComparedValues:
@@ -40,6 +48,7 @@ class ComparedValues:
             textbook,
             determined,
             result.dropped,
+            result.scatter,
         )
 
     @classmethod
@@ -56,6 +65,43 @@ class ComparedValues:
             found.textbook_std_errors,
             found.determined,
             none,
+            found.scatter,
+        )
+
+    @property
+    def degrees_of_freedom(self) -> Array:
+        """Degrees of freedom of each standard error, shape (p,); infinite without time blocks."""
+        return (
+            np.full(len(self.estimates), np.inf)
+            if self.scatter is None
+            else self.scatter.degrees_of_freedom
+        )
+
+    @property
+    def textbook_covariance(self) -> Array:
+        """Covariance (p, p) with the same correlations and textbook variances."""
+        usable = self.std_errors > 0
+        shrink = np.divide(
+            self.textbook_std_errors,
+            self.std_errors,
+            out=np.zeros_like(self.std_errors),
+            where=usable,
+        )
+        return np.asarray(self.covariance * np.outer(shrink, shrink))
+
+    def test_against(self, values: Array) -> ChiSquare:
+        """Test all determined parameters against `values` (p,) at once; NaN are left out."""
+        tested = self.determined & ~self.dropped & np.isfinite(values) & (self.std_errors > 0)
+        kept = np.flatnonzero(tested)
+        difference = self.estimates[kept] - values[kept]
+        if self.scatter is None:
+            return chi_square(difference, self.covariance[np.ix_(kept, kept)])
+        return joint_test(
+            difference,
+            self.textbook_covariance[np.ix_(kept, kept)],
+            self.scatter.moves[:, kept],
+            self.scatter.degrees_alone[kept],
+            self.scatter.common_variance,
         )
 
     @property
@@ -75,6 +121,89 @@ class ComparedValues:
         even = float(np.sqrt(np.mean(growth[usable] ** 2))) if usable.any() else 1.0
         shrink = even / growth
         return np.asarray(self.covariance * np.outer(shrink, shrink))
+
+    @property
+    def variances(self) -> Array:
+        """Variances as estimated, not widened for few degrees of freedom, shape (p,)."""
+        return np.asarray((self.std_errors / widening(self.degrees_of_freedom)) ** 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Between:
+    """Hold the difference of two independent sets of values, at the places `one` and `two`."""
+
+    first: ComparedValues
+    second: ComparedValues
+    one: list[int]
+    two: list[int]
+
+    @property
+    def degrees_of_freedom(self) -> Array:
+        """Of the variances of the difference, shape (p,)."""
+        return summed_degrees(
+            *(
+                (values.variances[places], values.degrees_of_freedom[places])
+                for values, places in ((self.first, self.one), (self.second, self.two))
+            )
+        )
+
+    @property
+    def mean_degrees(self) -> float:
+        """Harmonic mean of the degrees of freedom."""
+        return mean_degrees(self.degrees_of_freedom)
+
+    @property
+    def std_errors(self) -> Array:
+        """Standard errors, widened for few degrees of freedom, shape (p,)."""
+        return np.asarray(np.sqrt(self._variances) * widening(self.degrees_of_freedom))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (p, p), not widened."""
+        return self._sum(self.first.covariance, self.second.covariance, narrow=True)
+
+    def test(self, tested: Mask) -> ChiSquare:
+        """Test the difference of all tested parameters at once."""
+        chosen = np.flatnonzero(tested)
+        d = (self.second.estimates[self.two] - self.first.estimates[self.one])[chosen]
+        own = np.ix_(chosen, chosen)
+        if self.first.scatter is None or self.second.scatter is None:
+            together = self._sum(self.first.even_covariance, self.second.even_covariance)
+            return chi_square(d, together[own])
+        textbook = self._sum(self.first.textbook_covariance, self.second.textbook_covariance)
+        moves = [self.first.scatter.moves[:, self.one], self.second.scatter.moves[:, self.two]]
+        alone = summed_degrees(
+            (self.first.variances[self.one], self.first.scatter.degrees_alone[self.one]),
+            (self.second.variances[self.two], self.second.scatter.degrees_alone[self.two]),
+        )
+        first = self.first.variances[self.one][chosen]
+        part = float(np.mean(first / self._variances[chosen])) if len(chosen) else 0.0
+        common = (
+            part**2 * self.first.scatter.common_variance
+            + (1.0 - part) ** 2 * self.second.scatter.common_variance
+        )
+        return joint_test(d, textbook[own], np.vstack(moves)[:, chosen], alone[chosen], common)
+
+    @property
+    def _variances(self) -> Array:
+        return self.first.variances[self.one] + self.second.variances[self.two]
+
+    def _sum(self, first: Array, second: Array, *, narrow: bool = False) -> Array:
+        one, two = first[np.ix_(self.one, self.one)], second[np.ix_(self.two, self.two)]
+        if narrow:
+            wide = widening(self.first.degrees_of_freedom[self.one])
+            one = one / np.outer(wide, wide)
+            wide = widening(self.second.degrees_of_freedom[self.two])
+            two = two / np.outer(wide, wide)
+        return np.asarray(one + two)
+
+
+def tested_values(result: IdentificationResult) -> ComparedValues:
+    """Return the values by which all parameters are tested at once.
+
+    Those without bounds and regularisation, unless the estimator dropped parameters.
+    """
+    return ComparedValues.own(result) if result.dropped.any() else ComparedValues.free(result)
 
 
 def on_equal_terms(

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, ndtr
+from scipy.special import chdtrc, fdtrc, ndtr
+
+from asbuilt.identification.errors.common_growth import effective_rank
+from asbuilt.tables import significant
 
 Array = NDArray[np.float64]
 
@@ -60,15 +63,37 @@ def holm(probabilities: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class ChiSquare:
-    """Hold a Wald statistic `d^T C^+ d`, its degrees of freedom (rank of C) and p value."""
+    """Hold a Wald statistic `d^T C^+ d`, its degrees of freedom (rank of C) and p value.
+
+    If C is estimated from time blocks, p is that of `statistic / degrees` under F with
+    `f_degrees`; otherwise these are None and p is that of chi-square.
+    """
 
     statistic: float
     degrees: int
     probability: float
+    f_degrees: tuple[float, float] | None = None
+
+    @property
+    def text(self) -> str:
+        """The statistic with its p value."""
+        p = f"p {probability_text(self.probability)}"
+        if self.f_degrees is None:
+            return (
+                f"chi-square {significant(self.statistic)} with {self.degrees} degrees of freedom,"
+                f" {p}"
+            )
+        first, second = (significant(each, 3) for each in self.f_degrees)
+        ratio = significant(self.statistic / max(self.degrees, 1))
+        return f"F {ratio} with {first} and {second} degrees of freedom, {p}"
 
 
-def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
+def chi_square(
+    difference: ArrayLike, covariance: ArrayLike, degrees_of_freedom: float = np.inf
+) -> ChiSquare:
     """Test whether a vector (p,) with covariance (p, p), singular or not, is zero (Wald, 1943).
+
+    `degrees_of_freedom` are those of each estimated variance.
 
     >>> test = chi_square([2.0, 0.0], np.eye(2))
     >>> test.statistic, test.degrees, round(test.probability, 3)
@@ -84,23 +109,84 @@ def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
     kept = eigenvalues > SMALLEST_EIGENVALUE * eigenvalues[-1]
     whitened = (vectors[:, kept].T @ (d[known] / size)) / np.sqrt(eigenvalues[kept])
     statistic = float(whitened @ whitened)
-    return ChiSquare(statistic, int(kept.sum()), float(chdtrc(int(kept.sum()), statistic)))
+    rank = int(kept.sum())
+    return ChiSquare(
+        statistic,
+        rank,
+        _tail(statistic / rank, rank, degrees_of_freedom),
+        (float(rank), rank * degrees_of_freedom) if np.isfinite(degrees_of_freedom) else None,
+    )
 
 
-def size_probability(vector: ArrayLike, covariance: ArrayLike) -> float:
+def joint_test(
+    difference: ArrayLike,
+    covariance: ArrayLike,
+    moves: ArrayLike,
+    degrees_alone: ArrayLike,
+    common_variance: float = 0.0,
+) -> ChiSquare:
+    """Test whether a vector (p,) is zero, given the errors of independent blocks, (B, p).
+
+    With u the vector and g_b the errors whitened by the textbook covariance (p, p), `F = |u|^2 /
+    tr(O)`, `O = sum_b g_b g_b^T`, has about `f = tr(O)^2 / tr(O^2)` degrees of freedom (Box, Annals
+    of Math. Statistics 25, 1954; Brunner, Dette & Munk, JASA 92, 1997). B may be less than p, where
+    Hotelling's statistic is undefined. The denominator has the relative variance `2 / (f nu)`, nu
+    the mean of `degrees_alone` (p,), no more than blocks of such unequal size have, and that of
+    the factor common to all variances.
+
+    >>> rng = np.random.default_rng(1)
+    >>> test = joint_test([0.0, 0.0], np.eye(2), rng.normal(size=(20, 2)), [19.0, 19.0])
+    >>> test.statistic, test.probability
+    (0.0, 1.0)
+    """
+    d, C, M = (np.asarray(each, dtype=np.float64) for each in (difference, covariance, moves))
+    size = np.sqrt(np.diag(C))
+    known = size > 0
+    if not known.any() or not np.any(M[:, known]):
+        return ChiSquare(0.0, 0, 1.0)
+    size = size[known]
+    eigenvalues, vectors = np.linalg.eigh(C[np.ix_(known, known)] / np.outer(size, size))
+    kept = eigenvalues > SMALLEST_EIGENVALUE * eigenvalues[-1]
+    whitening = vectors[:, kept] / np.sqrt(eigenvalues[kept])
+    u, g = (d[known] / size) @ whitening, (M[:, known] / size) @ whitening
+    own = np.sum(g**2, axis=1)
+    trace, f, rank = float(own.sum()), effective_rank(g), int(kept.sum())
+    unequal = trace**2 * (1.0 + 2.0 / f) / float((own**2).sum())
+    nu = min(float(np.mean(np.asarray(degrees_alone)[known])), unequal)
+    f2 = 2.0 / (2.0 / (f * nu) + common_variance)
+    ratio = float(u @ u) / trace
+    return ChiSquare(ratio * rank, rank, float(fdtrc(f, f2, ratio)), (f, f2))
+
+
+def size_probability(
+    vector: ArrayLike, covariance: ArrayLike, degrees_of_freedom: float = np.inf
+) -> float:
     """Return the probability that a normal vector with covariance (m, m) is as long as `vector`.
 
     The squared length is a weighted sum of chi-square variables, approximated by one scaled
-    chi-square variable of the same mean and variance (Satterthwaite, Biometrics Bulletin 2, 1946).
+    chi-square variable of the same mean and variance (Satterthwaite, Biometrics Bulletin 2, 1946);
+    by F if the covariance is estimated with some degrees of freedom.
 
     >>> round(size_probability([1.96], [[1.0]]), 3)
+    0.05
+    >>> round(size_probability([2.571], [[1.0]], 5.0), 3)
     0.05
     """
     v, C = np.asarray(vector, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     mean, square = float(np.trace(C)), float(np.sum(C**2))
     if mean <= 0.0:
         return 0.0 if v.any() else 1.0
-    return float(chdtrc(mean**2 / square, float(v @ v) * mean / square))
+    return _tail(float(v @ v) / mean, mean**2 / square, degrees_of_freedom)
+
+
+def _tail(ratio: float, degrees: float, of_variance: float) -> float:
+    """Return the probability of a mean square of `degrees` values at least `ratio` times its own.
+
+    `of_variance` are the degrees of freedom of the variance of each.
+    """
+    if np.isfinite(of_variance):
+        return float(fdtrc(degrees, degrees * of_variance, ratio))
+    return float(chdtrc(degrees, degrees * ratio))
 
 
 def probability_text(p: float) -> str:

@@ -37,9 +37,15 @@ class JointChange:
 
 
 def joint_changes(
-    result: IdentificationResult, names: Sequence[str], difference: Array, covariance: Array
+    result: IdentificationResult,
+    names: Sequence[str],
+    difference: Array,
+    covariance: Array,
+    degrees_of_freedom: float = np.inf,
 ) -> tuple[JointChange, ...]:
     """Return the torque of differences of named parameters, with their covariance, at every joint.
+
+    `degrees_of_freedom` are those of a variance.
 
     Raises ResultError if the result has no cause data.
     """
@@ -53,7 +59,7 @@ def joint_changes(
     ]
     spreads = [row[:, :-1] @ covariance @ row[:, :-1].T for row in rows]
     chances = [
-        size_probability(row[:, :-1] @ difference, spread)
+        size_probability(row[:, :-1] @ difference, spread, degrees_of_freedom)
         for row, spread in zip(rows, spreads, strict=True)
     ]
     strict = holm(chances)

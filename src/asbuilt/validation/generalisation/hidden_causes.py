@@ -15,6 +15,7 @@ from asbuilt.experiment.quality.running_statistics import IN_STEP, PositionMomen
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
+from asbuilt.identification.calibration.mounting_evidence import relief_on_other_motions
 from asbuilt.identification.drives.spring_search import suspected_springs
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -42,6 +43,7 @@ class HiddenCauseLimits:
 
 
 LIMITS = HiddenCauseLimits()
+TILTED = Cure("check the mounting, or estimate it", {"mounting": "estimate"})
 
 
 def hidden_cause_findings(
@@ -58,7 +60,9 @@ def hidden_cause_findings(
     Parameters
     ----------
     result
-        The result; if its consistent fit is poor, base tilt and springs are searched.
+        The result; if its consistent fit is poor, springs are searched, and a base tilt if that
+        is so or nested models have one. A tilt is named if it is significant by its own estimate,
+        that of the mounting, and predicts groups of different motion better.
     training
         The samples it was identified from.
     drive
@@ -76,9 +80,14 @@ def hidden_cause_findings(
         and n_samples <= LIMITS.searched
     )
     estimated = mounting is not None
-    if not estimated and tilt is not None and searched:
+    suspected = tilt is not None and (searched or tilt >= LIMITS.tilt)
+    if not estimated and suspected and n_samples <= LIMITS.searched:
         mounting = _mounting(result, training, drive, block_seconds)
-    tilted = () if estimated or tilt is None else tuple(_tilt_findings(tilt, mounting))
+    tilted: tuple[Finding, ...] = ()
+    if not estimated and mounting is not None:
+        tilted = tuple(_tilt_findings(mounting, training, drive, block_seconds))
+    elif not estimated and suspected and tilt is not None:
+        tilted = tuple(_unsearched_tilt(tilt))
     if not searched:
         return tilted
     return (*tilted, *_spring_findings(result, mounting, estimated, training, drive, block_seconds))
@@ -97,23 +106,43 @@ def _mounting(
         return None
 
 
-def _tilt_findings(tilt: float, mounting: Mounting | None) -> Iterator[Finding]:
-    cure = Cure("check the mounting, or estimate it", {"mounting": "estimate"})
-    if mounting is not None and mounting.is_tilted and mounting.relief > LIMITS.relief:
-        yield Finding(
-            "base_tilt",
-            "warning",
-            f"The base seems tilted by {np.rad2deg(mounting.angle):.1f} deg, which physically"
-            f" consistent links cannot imitate: {mounting.sentence}",
-            cure,
-        )
-    elif tilt >= LIMITS.tilt:
+def _tilt_findings(
+    mounting: Mounting,
+    training: Sequence[Samples],
+    drive: DriveSet,
+    block_seconds: float | None,
+) -> Iterator[Finding]:
+    """Name a base tilt that is significant and predicts groups of different motion better."""
+    if not (mounting.is_tilted and mounting.relief > LIMITS.relief):
+        return
+    relief = relief_on_other_motions(mounting, training, drive=drive, block_seconds=block_seconds)
+    if relief is not None and relief[0] <= relief[1]:
+        return
+    holds = "" if relief is None else f", on motions held out {_lower(relief)}"
+    yield Finding(
+        "base_tilt",
+        "warning",
+        f"The base seems tilted by {np.rad2deg(mounting.angle):.1f} deg, which physically"
+        f" consistent links cannot imitate: {mounting.sentence}{holds}",
+        TILTED,
+    )
+
+
+def _lower(relief: tuple[float, float]) -> str:
+    """Return how much lower the squared torque error is, as text."""
+    fall, error = 1.0 - np.exp(-relief[0]), np.exp(-relief[0]) * relief[1]
+    return f"{100 * fall:.0f} +- {100 * error:.0f} % less squared error"
+
+
+def _unsearched_tilt(tilt: float) -> Iterator[Finding]:
+    """Name the tilt of nested models where recordings are too long, or unfit, for the search."""
+    if tilt >= LIMITS.tilt:
         yield Finding(
             "base_tilt",
             "warning",
             f"The base seems tilted by {np.rad2deg(tilt):.1f} deg against the description, which"
             " the links then imitate",
-            cure,
+            TILTED,
         )
 
 

@@ -36,10 +36,14 @@ LONGEST_DELAY = 0.3
 def repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Array]] | None:
     """Return the positions of pairs of windows with the same command; None if there are none.
 
-    Two lists of one array (pairs, L, n).
+    Recordings whose windows have another number of samples than most are left out. Two lists of
+    one array (pairs, L, n).
     """
     if any(each.signal.kind != "command" for each in windows):
         return None
+    lengths = [each.n_samples for each in windows]
+    usual = max(lengths, key=lengths.count)
+    windows = [each for each in windows if each.n_samples == usual]
     commands, q = _commands(windows), np.concatenate([each.q for each in windows])
     size = np.ptp(commands, axis=(0, 1))
     if len(q) < 2 or not np.any(size > 0.0):
@@ -82,7 +86,7 @@ def delayed_command(windows: Windows) -> Array | None:
             [np.interp(times - delay, windows.signal.t, u) for u in windows.signal.values.T],
             axis=-1,
         )
-        return command - command[:, :1] + windows.start_q[:, None]
+        return np.asarray(command - command[:, :1] + windows.start_q[:, None])
 
     found = minimize_scalar(
         lambda delay: float(np.mean((delayed(delay) - windows.q)[:, 1:] ** 2)),

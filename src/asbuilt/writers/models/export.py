@@ -17,6 +17,7 @@ from asbuilt.findings import Cure
 from asbuilt.identification.bodies.standard_parameters import StandardParameters
 from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
 from asbuilt.writers.files import atomic_write, file_lines, path_texts
@@ -27,6 +28,7 @@ from asbuilt.writers.models.as_built import (
     load_counted,
 )
 from asbuilt.writers.models.c.c_code import write_c
+from asbuilt.writers.models.c.observer_files import write_observer
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.physical import refuse_inconsistent_result, refuse_poor_nearest_model
 from asbuilt.writers.models.robot_toml import write_robot_toml
@@ -88,6 +90,8 @@ def export_result(
     mjcf: Place | None = None,
     toml: Place | None = None,
     c: Place | None = None,
+    observer: Place | None = None,
+    thresholds: Thresholds | None = None,
     original: Place | None = None,
     nearest: bool = False,
     force: bool = False,
@@ -103,6 +107,9 @@ def export_result(
         The identified robot.
     urdf, mjcf, toml, c
         Files to write; a `.c` file comes with its header.
+    observer, thresholds
+        C file to write with the momentum observer and the dynamics it needs, and its thresholds.
+        Its parameters are the identified ones, whether or not they are physically consistent.
     original
         URDF to edit; by default the description that the robot was identified with. Without one a
         URDF without shapes is written.
@@ -128,8 +135,9 @@ def export_result(
         If no file is named, or options do not go together.
     """
     formats = {simulator_format(key): place for key, place in (simulators or {}).items()}
-    if all(place is None for place in (urdf, mjcf, toml, c)) and not formats:
-        files_to_name = dict.fromkeys(("urdf", "mjcf", "toml", "c"), "FILE")
+    models = (urdf, mjcf, toml, c)
+    if all(place is None for place in (*models, observer)) and not formats:
+        files_to_name = dict.fromkeys(("urdf", "mjcf", "toml", "c", "observer"), "FILE")
         raise UsageError(
             "no file to export is named", cure=Cure("name at least one", files_to_name)
         )
@@ -143,13 +151,21 @@ def export_result(
             "force applies to the nearest consistent model, which is not asked for",
             cure=Cure("ask for it", {"nearest": True}),
         )
+    if thresholds is not None and observer is None:
+        raise UsageError(
+            "thresholds go with an observer, but no file for it is named",
+            cure=Cure("name it", {"observer": "FILE"}),
+        )
+    watching = {} if observer is None else _observer(observer, result, thresholds)
+    if all(place is None for place in models):
+        return Export(result.robot, "the identified parameters", watching, {})
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
     refuse_inconsistent_result(result, model)
     cost = nearest_model(result, found.beta) if found.substituted else None
     if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
-    files: dict[str, Path] = {}
+    files: dict[str, Path] = dict(watching)
     notes: dict[str, tuple[str, ...]] = {}
     (in_simulators, kept), load = (
         keeping_described_drives(model, result.model),
@@ -183,6 +199,14 @@ def export_result(
         cost,
         _beyond(result, found) if found.substituted else "",
     )
+
+
+def _observer(
+    place: Place, result: IdentificationResult, thresholds: Thresholds | None
+) -> dict[str, Path]:
+    """Write the observer; returns its paths by kind."""
+    source, header = write_observer(place, result, thresholds=thresholds)
+    return {"observer": source, "observer_header": header}
 
 
 def _beyond(result: IdentificationResult, found: StandardParameters) -> str:

@@ -12,6 +12,7 @@ from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.summary import Summary
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
@@ -26,7 +27,7 @@ from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.reports.report import write_report
 from asbuilt.writers.tables.drive_tables import motor_side_table
-from asbuilt.writers.tables.mass_table import exported_masses
+from asbuilt.writers.tables.mass_table import ExportedMasses, exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
 from asbuilt.writers.tables.rollout_tables import refined_text, rollout_text, with_rollouts
 from asbuilt.writers.tables.tabular import (
@@ -62,9 +63,7 @@ def study_text(
     `cure_text` writes cures, for an interface that adds the names of its options.
     """
     masses = exported_masses(study.result)
-    parts = [
-        study.summary.with_mass(None if masses is None else masses.totals).as_text(full, cure_text)
-    ]
+    parts = [with_masses(study.summary, masses).as_text(full, cure_text)]
     if full and gear_ratios(study.result.model):
         parts.append(
             "Drives at the motor\n"
@@ -82,6 +81,14 @@ def study_text(
     if payload is not None:
         parts.append(payload_text(payload, full) if full else payload_table(payload).as_text())
     return "\n".join(parts)
+
+
+def with_masses(summary: Summary, masses: ExportedMasses | None) -> Summary:
+    """Return a summary with the masses of the links by CAD and as built."""
+    if masses is None:
+        return summary
+    links = tuple(zip(masses.names, masses.cad, masses.as_built, strict=True))
+    return summary.with_mass(masses.totals, links)
 
 
 def study_document(
@@ -139,15 +146,33 @@ def write_study(
         return _write_members(folder, study, payload, command)
 
 
+def write_study_without_samples(
+    folder: Path, study: Study
+) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+    """Write the files of a study that need no samples, as those of a ledger.
+
+    These are result.json, summary.txt, parameters.csv, robot.toml and robot.urdf. Returns paths
+    and notes as `write_study`.
+    """
+    with file_set(folder, "result.json", MEMBERS, keep=study.result.model.source):
+        files = _write_tables(folder, study, None)
+        robots, notes = _write_robot(folder, study.result)
+        return files | robots, notes
+
+
+def _write_tables(folder: Path, study: Study, payload: Payload | None) -> dict[str, Path]:
+    return {
+        "result": write_result(folder / "result.json", study),
+        "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
+        "parameters": write_parameters_csv(folder / "parameters.csv", study.result),
+    }
+
+
 def _write_members(
     folder: Path, study: Study, payload: Payload | None, command: Sequence[str]
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     result = study.result
-    files = {
-        "result": write_result(folder / "result.json", study),
-        "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
-        "parameters": write_parameters_csv(folder / "parameters.csv", result),
-    }
+    files = _write_tables(folder, study, payload)
     if payload is not None:
         files["payload"] = write_json(folder / "payload.json", payload_document(payload))
     files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])

@@ -102,8 +102,19 @@ def _gain_notes(payload: Payload) -> tuple[str, ...]:
         f"Torque gains of {_SOURCES[payload.torque_source]} are taken as known to {spread}"
         f" (standard deviation): they leave {gains:.1f} % of the mass uncertain, most by"
         f" {joined(leading)},"
-        f" noise {noise:.1f} %. A payload of known mass calibrates them.",
+        f" noise {noise:.1f} %. A payload of known mass calibrates them (`gains`).",
+        *_doubts(payload),
         *known_by,
+    )
+
+
+def _doubts(payload: Payload) -> tuple[str, ...]:
+    """Return which gains are doubted, since gravity torques are far from those of CAD."""
+    if not payload.gains_in_doubt:
+        return ()
+    return (
+        f"GAINS IN DOUBT: the gravity torques of {joined(payload.gains_in_doubt)} are far from"
+        " those of CAD, which may be the torque scale; the payload's errors allow for it.",
     )
 
 
@@ -154,6 +165,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
         "torque_source": payload.torque_source,
         "gain_uncertainty": payload.gain_uncertainty.tolist(),
         "gains_by_evidence": payload.gains_by_evidence,
+        "gains_in_doubt": list(payload.gains_in_doubt),
         "physically_consistent": payload.inertia.is_consistent,
         "projected": payload.projected,
         "determined": list(payload.determined),

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
+from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
@@ -146,7 +148,7 @@ def links_table(model: RobotModel) -> Table:
                 com,
                 _vector(np.diag(about_com)),
                 products,
-                "OK" if reason is None else f"INCONSISTENT: {reason}",
+                _verdict(inertia, about_com, reason),
             )
         )
     columns = (
@@ -158,6 +160,15 @@ def links_table(model: RobotModel) -> Table:
         Column("consistency"),
     )
     return Table(columns, tuple(rows), title="Links")
+
+
+def _verdict(inertia: LinkInertia, about_com: Array, reason: str | None) -> str:
+    """Return whether a body has these mass properties, and whether they are there at all."""
+    if reason is not None:
+        return f"INCONSISTENT: {reason}"
+    if not inertia.parameters.any():
+        return "ALL ZERO: no mass properties"
+    return "OK" if np.any(about_com) else "ZERO INERTIA: a point mass"
 
 
 def robot_text(model: RobotModel, full: bool = False) -> str:

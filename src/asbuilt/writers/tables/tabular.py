@@ -20,6 +20,7 @@ from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation, torque_units
 from asbuilt.workflow.information_efficiency import RecordedInformation
 from asbuilt.workflow.study import Study
@@ -104,6 +105,7 @@ def validate_document(
         "joints": list(result.joint_names),
         "validation": [validation.metrics_as_built.as_dict() for validation in validations],
         "cad": [validation.metrics_cad.as_dict() for validation in validations],
+        "verdict": [cad_verdict(validation).as_dict() for validation in validations],
         "files": path_texts(files),
     }
 

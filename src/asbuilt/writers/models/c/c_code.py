@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +18,16 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
+from asbuilt.monitoring.balance import armature_matrix
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_drives import drive_entries
 from asbuilt.writers.models.c.c_dynamics import Mechanism
-from asbuilt.writers.models.c.c_expressions import StraightLine, Term
+from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
+from asbuilt.writers.models.c.c_momentum import mass_matrix_terms, momentum_terms
+from asbuilt.writers.models.c.c_observer import ObserverCode
 from asbuilt.writers.models.sample_states import sample_states
 
 CHECKED_STATES = 3
@@ -53,6 +57,7 @@ def c_code(
     drive_values: ArrayLike | None = None,
     stem: str = "robot",
     prefix: str | None = None,
+    observer: Callable[[str], ObserverCode] | None = None,
 ) -> CCode:
     """Write a robot as C99.
 
@@ -60,7 +65,11 @@ def c_code(
     parameters, which give the torques of the standard ones with fewer operations.
     `PREFIX_regressor(q, qd, qdd, Y)` fills the (n, p) regressor of the base parameters row by row;
     `PREFIX_base_values` and `PREFIX_base_parameters` hold their values, names and units: `tau = Y
-    beta`. Drive terms add to inverse dynamics and regressor; `drive` and `drive_values` (joint by
+    beta`. For controllers, `PREFIX_mass_matrix(q, M)` with the armatures of the drives,
+    `PREFIX_coriolis(q, qd, tau)`, `PREFIX_friction(q, qd, tau)`, the drive terms at constant
+    velocity, and `PREFIX_momentum(q, qd, p, gradient)`, which gives `M qd` and `C^T qd`.
+    `observer` returns the momentum observer for a prefix. Drive terms add to inverse dynamics and
+    regressor; `drive` and `drive_values` (joint by
     joint) default to those of the model. The code allocates nothing and calls libm only.
 
     Raises
@@ -109,17 +118,20 @@ def c_code(
             },
             opening=(f"for (int k = 0; k < {n * base.n_base}; k++) Y[k] = 0.0;",),
         ),
+        *_controller_functions(model, terms, values, chi, name),
     ]
-    header = _header(model, base, terms, name, stem)
+    watching = None if observer is None else observer(name)
+    header = _header(model, base, terms, name, stem, "" if watching is None else watching.header)
     source = "\n\n".join(
         [
             _comment(
-                f"{model.name}: inverse dynamics, gravity torque and regressor; see {stem}.h for"
-                " units and conventions."
+                f"{model.name}: inverse dynamics, gravity torque, regressor and what controllers"
+                f" need; see {stem}.h for units and conventions."
             ),
             f'#include "{stem}.h"\n\n#include <math.h>',
             _tables(base, beta, name),
             *functions,
+            *([] if watching is None else [watching.source]),
             _self_test(model, terms, values, base, name),
         ]
     )
@@ -132,6 +144,7 @@ def write_c(
     *,
     drive: DriveSet | None = None,
     drive_values: ArrayLike | None = None,
+    observer: Callable[[str], ObserverCode] | None = None,
 ) -> tuple[Path, Path]:
     """Write `NAME.c` and `NAME.h` beside it, with the functions of `c_code`; returns both paths."""
     target = Path(path)
@@ -143,8 +156,52 @@ def write_c(
             f"the name of a C file must have plain characters, got {target.name!r}",
             cure=Cure(f"name it {stem}.c"),
         )
-    code = c_code(model, drive=drive, drive_values=drive_values, stem=stem)
+    code = c_code(model, drive=drive, drive_values=drive_values, stem=stem, observer=observer)
     return atomic_write(target, code.source), atomic_write(target.with_suffix(".h"), code.header)
+
+
+def _controller_functions(
+    model: RobotModel, terms: DriveSet, values: Array, chi: Array, name: str
+) -> list[str]:
+    """Return mass matrix, Coriolis torque, friction and momentum as functions."""
+    n = model.n_joints
+    armature = armature_matrix(TorqueModel(model, terms, values))
+    still, moving = Mechanism(model, at_rest=True), Mechanism(model, steady=True)
+    weightless = Mechanism(replace(model, gravity=np.zeros(3)), steady=True)
+    rubbing = Mechanism(model, steady=True)
+    friction = [ZERO] * n
+    for entry, value in zip(drive_entries(rubbing, terms, chi), values, strict=True):
+        for j, column in entry.items():
+            friction[j] = rubbing.code.total((friction[j],), (Term(float(value)), column))
+    p, gradient = momentum_terms(moving, chi, armature)
+    masses = mass_matrix_terms(still, chi, armature)
+    q, qd = f"const double q[{n}]", f"const double qd[{n}]"
+    return [
+        _function(
+            f"void {name}_mass_matrix({q}, double M[{n * n}])",
+            ("q",),
+            still.code,
+            {f"M[{j * n + k}]": masses[j, k] for j in range(n) for k in range(n)},
+        ),
+        _function(
+            f"void {name}_coriolis({q}, {qd}, double tau[{n}])",
+            ("q", "qd"),
+            weightless.code,
+            _assigned("tau", weightless.torques(chi)),
+        ),
+        _function(
+            f"void {name}_friction({q}, {qd}, double tau[{n}])",
+            ("q", "qd"),
+            rubbing.code,
+            _assigned("tau", friction),
+        ),
+        _function(
+            f"void {name}_momentum({q}, {qd}, double p[{n}], double gradient[{n}])",
+            ("q", "qd"),
+            moving.code,
+            _assigned("p", p) | _assigned("gradient", gradient),
+        ),
+    ]
 
 
 def _fewest_parameters(model: RobotModel) -> Array:
@@ -195,7 +252,14 @@ def _function(
     return "\n".join([head, "{", *[f"    {line}" for line in [*unused, *lines]], "}"])
 
 
-def _header(model: RobotModel, base: BaseParameters, terms: DriveSet, name: str, stem: str) -> str:
+def _header(
+    model: RobotModel,
+    base: BaseParameters,
+    terms: DriveSet,
+    name: str,
+    stem: str,
+    watching: str = "",
+) -> str:
     n, p, capital = model.n_joints, base.n_base, name.upper()
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     joints = [
@@ -224,7 +288,14 @@ def _header(model: RobotModel, base: BaseParameters, terms: DriveSet, name: str,
                 f"Compile {stem}.c as C99 and link with -lm. With -D{capital}_SELF_TEST it is a"
                 " program that checks itself."
             ),
-            "All functions are pure: no allocation, no state, safe to call from any thread.",
+            (
+                "No function allocates memory or keeps a state of its own; all are safe to call"
+                " from any thread."
+            ),
+            (
+                "inverse_dynamics = mass_matrix qdd + coriolis + gravity_torque + friction, unless"
+                " friction depends on load, which is then that without acceleration."
+            ),
         ]
     )
     return f"""{_comment(about)}
@@ -260,6 +331,19 @@ void {name}_gravity_torque(const double q[{n}], double tau[{n}]);
 /* Regressor of the base parameters, row by row: Y[joint*{p} + parameter]. */
 void {name}_regressor({motion}, double Y[{n * p}]);
 
+/* Mass matrix of links and rotors, row by row: M[row*{n} + column]. */
+void {name}_mass_matrix(const double q[{n}], double M[{n * n}]);
+
+/* Centrifugal and Coriolis torque C(q, qd) qd. */
+void {name}_coriolis(const double q[{n}], const double qd[{n}], double tau[{n}]);
+
+/* Torque of the drive terms at constant velocity. */
+void {name}_friction(const double q[{n}], const double qd[{n}], double tau[{n}]);
+
+/* Generalised momentum p = M qd, and gradient = C(q, qd)^T qd. */
+void {name}_momentum(const double q[{n}], const double qd[{n}], double p[{n}],
+    double gradient[{n}]);
+{watching}
 #ifdef __cplusplus
 }}
 #endif

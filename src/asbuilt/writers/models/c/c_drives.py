@@ -60,11 +60,15 @@ def drive_entries(
             if not term.is_at(k) or not acts_on.any():
                 entries += [{} for _ in term.symbols]
                 continue
+            state = {"q": mechanism.q, "qd": mechanism.qd, "qdd": mechanism.qdd}
             values = {
                 array: code.sum(
-                    *[Term(float(share), f"{array}[{j}]") for j, share in enumerate(acts_on)]
+                    *[
+                        Term(float(share) * term.factor, term.name)
+                        for share, term in zip(acts_on, terms, strict=True)
+                    ]
                 )
-                for array in ("q", "qd", "qdd")
+                for array, terms in state.items()
             }
             values |= {
                 name: Term(term.value(name)) for name in (each.name for each in term.nonlinear)

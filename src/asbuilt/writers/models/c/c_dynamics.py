@@ -45,12 +45,14 @@ class Mechanism:
     Luh, Walker and Paul (1980); Atkeson, An and Hollerbach (1986).
     """
 
-    def __init__(self, model: RobotModel, *, at_rest: bool = False) -> None:
+    def __init__(self, model: RobotModel, *, at_rest: bool = False, steady: bool = False) -> None:
+        """Take joint rates, or not `at_rest`, and accelerations, or not if `steady`."""
         self.model, self.code = model, StraightLine()
         n = model.n_joints
         self.q = [Term(1.0, f"q[{j}]") for j in range(n)]
         self.qd = [ZERO if at_rest else Term(1.0, f"qd[{j}]") for j in range(n)]
-        self.qdd = [ZERO if at_rest else Term(1.0, f"qdd[{j}]") for j in range(n)]
+        still = at_rest or steady
+        self.qdd = [ZERO if still else Term(1.0, f"qdd[{j}]") for j in range(n)]
         turning = [joint.is_revolute for joint in model.joints]
         self.cosine = [
             self.code.given(f"cos(q[{j}])") if turns else ONE for j, turns in enumerate(turning)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import io
-import math
 import pickle
 import zipfile
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -85,7 +84,7 @@ class _Content(pickle.Unpickler):
         self._archive, self._root = archive, name.removesuffix("data.pkl")
         order = f"{self._root}byteorder"
         big = order in names and archive.read(order).strip() == b"big"
-        self._order = ">" if big else "<"
+        self._order: Literal["<", ">"] = ">" if big else "<"
 
     def find_class(self, module: str, name: str) -> Any:
         """Return what stands for the few names that an archive of tensors needs."""
@@ -112,12 +111,13 @@ def _tensor(
     """Return the strided part of a storage that is a tensor, copied."""
     if len(shape) != len(stride) or min((offset, *shape, *stride), default=0) < 0:
         raise ValueError(f"a tensor has shape {shape} and strides {stride}")
+    size = int(np.prod(shape, dtype=object))
     last = offset + sum((n - 1) * step for n, step in zip(shape, stride, strict=True))
-    if math.prod(shape) > storage.size or (math.prod(shape) and last >= storage.size):
+    if size > storage.size or (size and last >= storage.size):
         raise ValueError(f"a tensor of shape {shape} exceeds its storage of {storage.size}")
-    size = storage.itemsize
+    step = storage.itemsize
     view = np.lib.stride_tricks.as_strided(
-        storage[offset:], tuple(shape), tuple(step * size for step in stride), writeable=False
+        storage[offset:], tuple(shape), tuple(step * each for each in stride), writeable=False
     )
     return np.array(view, dtype=np.float64)
 

@@ -1,0 +1,186 @@
+"""The demonstration of a fleet: ten virtual robots over ten days, one of which changes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.tables import Column, Table, wrapped
+from asbuilt.validation.comparison.drift import Drift, compare_results
+from asbuilt.workflow.fleet.identification import fleet_identify
+from asbuilt.workflow.fleet.reduction.add import Addition, FleetOptions, add_logs, id_from
+from asbuilt.writers.recording_files import write_recording
+from asbuilt.writers.tables.fleet_tables import addition_document
+
+Progress = Callable[[str, float], None]
+
+ROBOT = "ur10e"
+ROBOTS, DAYS = range(1, 11), 10
+BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
+CHANGED, SINCE = 7, 6
+"""The robot that changes, and the day from which it carries the tool."""
+TOOL = LinkInertia.from_com(1.0, [0.0, 0.0, 0.06], np.diag([0.003, 0.003, 0.001]))
+DAILY = 0.02
+"""Standard deviation of viscous friction from day to day."""
+SECONDS, RATE = 12.0, 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetDemo:
+    """Hold the demonstration: what was added, each robot's result, and how its halves differ."""
+
+    ledger: Path
+    logs: Path
+    addition: Addition
+    results: dict[str, IdentificationResult]
+    changes: dict[str, Drift]
+    seconds: float
+
+
+def run_fleet_demo(
+    folder: Path,
+    *,
+    progress: Progress | None = None,
+    robots: Sequence[int] = ROBOTS,
+    days: int = DAYS,
+) -> FleetDemo:
+    """Record virtual robots, add the logs to a ledger, and identify each robot from it.
+
+    Parameters
+    ----------
+    folder
+        Where logs and ledger go.
+    progress
+        Called with the name of each step and the fraction done.
+    robots, days
+        Numbers of the robots, and how many days.
+    """
+    report, began = progress or (lambda what, fraction: None), time.perf_counter()
+    logs = []
+    for k in robots:
+        for day in range(1, days + 1):
+            logs.append(_record(folder / "logs", k, day))
+            report("record the robots", len(logs) / (len(robots) * days))
+    ledger = folder / "ledger"
+    addition = add_logs(
+        ledger,
+        ROBOT,
+        logs,
+        robot_id=id_from("{id}/*.csv"),
+        fleet=FleetOptions(workers=0),
+        progress=report,
+    )
+    results, changes = {}, {}
+    middle = BEGIN + timedelta(days=SINCE - 1)
+    for done, k in enumerate(robots, start=1):
+        report("identify each robot", done / len(robots))
+        name = _name(k)
+        results[name] = fleet_identify(ledger, name).result
+        halves = (
+            fleet_identify(ledger, name, until=middle).result,
+            fleet_identify(ledger, name, since=middle).result,
+        )
+        changes[name] = compare_results(*halves, labels=("before", "after"))
+    return FleetDemo(
+        ledger, folder / "logs", addition, results, changes, time.perf_counter() - began
+    )
+
+
+def _record(folder: Path, k: int, day: int) -> Path:
+    """Write the log of a robot and a day: a motion and a friction of its own."""
+    model = bundled_robot(ROBOT)
+    robot = VirtualRobot.typical(model, k)
+    rng = np.random.default_rng([k, day])
+    values = np.array(robot.drive_values)
+    names = [name for j in range(model.n_joints) for name in robot.drive.names(j + 1)]
+    warm = 1.0 + DAILY * rng.standard_normal()
+    values[[name.startswith("Fv") for name in names]] *= warm
+    robot = robot.with_drive(robot.drive, values)
+    if k == CHANGED and day >= SINCE:
+        robot = robot.with_tool(TOOL)
+    motion = random_fourier(model, rng=1000 * k + day, duration=SECONDS)
+    recording = robot.record(motion, rate=RATE, rng=100 * k + day).recording
+    date = BEGIN + timedelta(days=day - 1)
+    path = folder / _name(k) / f"{date:%Y-%m-%d}.csv"
+    write_recording(path, replace(recording, source=path.name))
+    return path
+
+
+def _name(k: int) -> str:
+    return f"arm-{k:02d}"
+
+
+def fleet_demo_text(demo: FleetDemo) -> str:
+    """Return the screen with which the demonstration ends."""
+    heads = (
+        Column("robot"),
+        Column("logs"),
+        Column("torque error", "%"),
+        Column("of CAD", "%"),
+        Column("change", "chi2 / p"),
+    )
+    rows = tuple(
+        (
+            name,
+            len(result.sources),
+            f"{100.0 * result.train.relative_error:.2f}",
+            f"{100.0 * result.cad.relative_error:.1f}",
+            f"{_change(demo.changes[name]):.1f}",
+        )
+        for name, result in demo.results.items()
+    )
+    worst = max(demo.changes, key=lambda name: _change(demo.changes[name]))
+    lines = [
+        wrapped(
+            f"{len(rows)} virtual {ROBOT} over {DAYS} days, {len(demo.addition.added)} logs of"
+            f" {SECONDS:g} s reduced to a ledger. From day {SINCE} on, {_name(CHANGED)} carries"
+            f" {TOOL.mass:g} kg that no description has."
+        ),
+        "",
+        Table(heads, rows).as_text(),
+        wrapped(
+            f"{worst} changed most: between the first {SINCE - 1} days and the rest chi-square is"
+            f" {_change(demo.changes[worst]):.0f} per parameter, of noise alone 1."
+        ),
+        "",
+        f"logs    {demo.logs}",
+        f"ledger  {demo.ledger}",
+        f"try     asbuilt fleet identify {demo.ledger} --id {worst}",
+        f"{demo.seconds:.0f} s",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _change(drift: Drift) -> float:
+    """Return chi-square per parameter of the difference between two results."""
+    return float(drift.chi_square.statistic / max(drift.chi_square.degrees, 1))
+
+
+def fleet_demo_document(demo: FleetDemo) -> dict[str, Any]:
+    """Return what `asbuilt demo fleet --json` prints."""
+    return {
+        "add": addition_document(demo.addition),
+        "robots": [
+            {
+                "id": name,
+                "n_logs": len(result.sources),
+                "train": result.train.as_dict(),
+                "cad": result.cad.as_dict(),
+                "change": _change(demo.changes[name]),
+            }
+            for name, result in demo.results.items()
+        ],
+        "files": {"logs": str(demo.logs), "ledger": str(demo.ledger)},
+        "seconds": demo.seconds,
+    }

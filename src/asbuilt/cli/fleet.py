@@ -1,0 +1,204 @@
+"""Commands of fleets: many robots over time, kept as information in a ledger."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
+from asbuilt.cli.arguments.options import AsJson, Filtering, Full, Logs, Out, Robot, Unchecked
+from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.workflow.fleet.identification import FleetIdentification
+from asbuilt.workflow.fleet.reduction.add import FleetOptions
+from asbuilt.workflow.options import StudyOptions
+
+LedgerPlace = Annotated[
+    str,
+    typer.Argument(metavar="LEDGER", help="a folder, or a URL such as s3://bucket/ledger"),
+]
+RobotId = Annotated[str, typer.Option("--id", metavar="ID", help="identity of the robot")]
+Since = Annotated[
+    str | None,
+    typer.Option("--since", metavar="DATE", help="logs of this date (UTC) or later"),
+]
+Until = Annotated[
+    str | None, typer.Option("--until", metavar="DATE", help="logs before this date (UTC)")
+]
+Drive = Annotated[
+    str | None,
+    typer.Option(
+        "--drive",
+        metavar="LIST",
+        help="drive terms of the type, or auto: chosen from its first log, then fixed",
+    ),
+]
+FAILED = 1
+"""Exit status if a log could not be added."""
+
+
+def add(
+    ledger: LedgerPlace,
+    robot: Robot,
+    log: Logs,
+    *,
+    id: Annotated[
+        str | None, typer.Option("--id", metavar="ID", help="identity of the robot of all logs")
+    ] = None,
+    id_from: Annotated[
+        str | None,
+        typer.Option(
+            "--id-from",
+            metavar="PATTERN",
+            help="identity from the path of each log: {id}/*.csv, *_{id}.parquet",
+        ),
+    ] = None,
+    date: Annotated[
+        str | None,
+        typer.Option(
+            "--date",
+            metavar="DATE",
+            help="when the logs began (UTC); else their sheets, time stamps or names say it",
+        ),
+    ] = None,
+    fleet: FleetOptions,
+    drive: Drive = None,
+    unchecked: Unchecked = False,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Reduce logs to their information and append it to a ledger.
+
+    Logs that are in the ledger are skipped, so an interrupted command is repeated as it was. A log
+    that cannot be used is listed, the others are added, and the exit status is 1.
+    """
+    from asbuilt.workflow.fleet.reduction.add import add_logs
+    from asbuilt.workflow.fleet.reduction.add import id_from as identity_from
+    from asbuilt.workflow.fleet.reduction.log_source import parse_date
+    from asbuilt.writers.tables.fleet_tables import addition_document, addition_text
+
+    if (id is None) == (id_from is None):
+        raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
+    identity = id if id is not None else identity_from(str(id_from))
+    with progress_bar() as report:
+        done = add_logs(
+            ledger,
+            robot,
+            log,
+            robot_id=identity,
+            reading=reading,
+            options=_asked(drive, unchecked, filtering),
+            fleet=fleet,
+            date=None if date is None else parse_date(date),
+            progress=report,
+        )
+    answer(
+        as_json,
+        lambda: addition_document(done),
+        lambda: addition_text(done, finding_text, cure_text, full=full),
+    )
+    if done.failed:
+        raise typer.Exit(FAILED)
+
+
+def rebuild(
+    ledger: LedgerPlace,
+    log: Logs,
+    *,
+    fleet: FleetOptions,
+    drive: Drive = None,
+    unchecked: Unchecked = False,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Reduce logs of a ledger again, with settings chosen from all.
+
+    Robots and dates are known from the ledger. The old entries stay valid until all logs are done;
+    logs that are not given are left out of the ledger from then on.
+    """
+    from asbuilt.workflow.fleet.reduction.rebuild import rebuild_ledger
+    from asbuilt.writers.tables.fleet_tables import addition_document, addition_text
+
+    with progress_bar() as report:
+        done = rebuild_ledger(
+            ledger,
+            log,
+            reading=reading,
+            options=_asked(drive, unchecked, filtering),
+            fleet=fleet,
+            progress=report,
+        )
+    answer(
+        as_json,
+        lambda: addition_document(done),
+        lambda: addition_text(done, finding_text, cure_text, full=full),
+    )
+    if done.failed:
+        raise typer.Exit(FAILED)
+
+
+def show(
+    ledger: LedgerPlace,
+    *,
+    thorough: Annotated[
+        bool,
+        typer.Option(
+            "--thorough", help="read every entry: durations, damaged files, odd logs of a robot"
+        ),
+    ] = False,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show the robots of a ledger, their logs and settings."""
+    from asbuilt.workflow.fleet.overview import fleet_overview
+    from asbuilt.writers.tables.fleet_tables import overview_text
+
+    seen = fleet_overview(ledger, thorough=thorough)
+    answer(as_json, seen.as_document, lambda: overview_text(seen, finding_text, full=full))
+
+
+def identify(
+    ledger: LedgerPlace,
+    *,
+    id: RobotId,
+    since: Since = None,
+    until: Until = None,
+    options: FleetIdentification,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a robot from the ledger alone, in any window of dates.
+
+    The parameters are those of `asbuilt identify` on the same logs with the same method, chain and
+    drive terms.
+    """
+    from asbuilt.workflow.fleet.identification import fleet_identify
+    from asbuilt.workflow.fleet.reduction.log_source import parse_date
+    from asbuilt.writers.reports.study_files import (
+        study_document,
+        study_text,
+        write_study_without_samples,
+    )
+
+    first, last = (None if text is None else parse_date(text) for text in (since, until))
+    study = fleet_identify(ledger, id, since=first, until=last, options=options)
+    files, notes = write_study_without_samples(out, study) if out is not None else ({}, {})
+    answer(
+        as_json,
+        lambda: study_document(study, files, notes) | {"id": id},
+        lambda: study_text(study, full=full, cure_text=cure_text) + listed_files(files, notes),
+    )
+
+
+def _asked(drive: str | None, unchecked: bool, filtering: Filtering) -> StudyOptions:
+    if filtering.cutoff == "auto":
+        raise UsageError("a ledger takes a cutoff in Hz, or the one chosen from the first log")
+    chain = filtering.chain() if any(filtering.given.values()) else None
+    return replace(StudyOptions(), drive=drive, chain=chain, checked=not unchecked)

@@ -1,0 +1,79 @@
+"""The command that watches a log: watch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar, wrapped
+from asbuilt.cli.arguments.options import (
+    AsJson,
+    Full,
+    Out,
+    Result,
+    distinct_logs,
+    read_result,
+    recordings_of,
+)
+from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.workflow.watching.options import WatchOptions
+
+
+def watch(
+    result: Result,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="the recording to watch")],
+    *,
+    calibrate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--calibrate",
+            metavar="LOG",
+            help="a recording without contact that sets the thresholds; repeat for more",
+        ),
+    ] = None,
+    thresholds: Annotated[
+        Path | None,
+        typer.Option(
+            "--thresholds", metavar="FILE", help="thresholds.json that an earlier watch wrote"
+        ),
+    ] = None,
+    options: WatchOptions,
+    reading: ReadingOptions,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Watch a log for external torque, contact and fault.
+
+    Thresholds are set for a stated rate of false alarms on recordings without contact. Forces are
+    those on the robot, at the tool, in root axes.
+    """
+    from asbuilt.workflow.watching.threshold_files import read_thresholds
+    from asbuilt.workflow.watching.watch import watch as watch_log
+    from asbuilt.writers.reports.watch_files import watch_document, write_watched
+
+    if calibrate and thresholds is not None:
+        raise UsageError("--thresholds and --calibrate exclude each other; give one of them")
+    distinct_logs([log], calibrate)
+    identified = read_result(result)
+    given = None if thresholds is None else read_thresholds(thresholds)
+    with progress_bar() as report:
+        report("read", 0.0)
+        watched = watch_log(
+            identified,
+            recordings_of(identified.model, [log], reading)[0],
+            calibrate=recordings_of(identified.model, calibrate, reading),
+            thresholds=given,
+            options=options,
+            progress=report,
+        )
+        files = write_watched(out, watched) if out is not None else {}
+    said = "".join(wrapped(finding_text(each)) + "\n" for each in watched.findings)
+    answer(
+        as_json,
+        lambda: watch_document(watched, files),
+        lambda: watched.as_text(full) + ("\n" + said if said else "") + listed_files(files),
+    )

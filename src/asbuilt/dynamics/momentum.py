@@ -1,0 +1,68 @@
+"""Generalised momentum of a robot."""
+
+# mypy: allow-untyped-calls
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.batches import inertial_parameters, joint_samples
+from asbuilt.dynamics.kernels import momentum as kernels
+
+
+def generalised_momentum(
+    model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Return `p = M(q) qd` and `C(q, qd)^T qd` of the rigid bodies, two of the shape of `q`.
+
+    `C^T qd = dM/dt qd - C qd` is the gradient of kinetic energy by position, so it is the same for
+    every factor C with `dM/dt = C + C^T`.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    q, qd
+        Positions [rad or m] and velocities, shape (n,) or (N, n).
+    parameters
+        Standard inertial parameters (10 n,), by default the model's own.
+
+    Raises
+    ------
+    UsageError
+        For shapes that do not fit, and values that are not finite.
+    """
+    qs, qds = joint_samples(model, q=q, qd=qd)
+    p, gradient = np.empty(qs.shape), np.empty(qs.shape)
+    chi = inertial_parameters(model, parameters)
+    kernels.momentum(*mechanism_of(model), chi, qs, qds, p, gradient)
+    return p.reshape(np.shape(q)), gradient.reshape(np.shape(q))
+
+
+@lru_cache(maxsize=16)
+def mechanism_of(model: RobotModel) -> tuple[Any, ...]:
+    """Return parents, kinds and placements of the joints as the kernel takes them."""
+    return (
+        np.array(model.parents, dtype=np.int64),
+        np.array([joint.is_revolute for joint in model.joints]),
+        np.array([joint.before for joint in model.joints], dtype=np.float64),
+        np.array([joint.after for joint in model.joints], dtype=np.float64),
+    )
+
+
+def lagged(share: Array, x: Array, start: Array | None = None) -> Array:
+    """Return the first-order lag of x (N, m).
+
+    `y_k = y_(k-1) + share_k (x_k - y_(k-1))`, from `start` (m,) or 0, with shares (N,); a negative
+    share starts anew at 0.
+    """
+    out = np.empty(x.shape)
+    begin = np.zeros(x.shape[1]) if start is None else np.array(start, dtype=np.float64)
+    kernels.lag(share, np.ascontiguousarray(x), begin, out)
+    return out

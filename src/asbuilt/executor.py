@@ -1,0 +1,319 @@
+"""Many tasks on a process pool or a Dask cluster, through anything that has `submit`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import islice
+from typing import Any, Generic, Protocol, TypeVar
+
+from asbuilt.errors import MissingExtraError, UsageError
+from asbuilt.findings import Cure
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+ORPHAN_CHECK = 0.5
+"""Seconds between looks at the parent process."""
+PER_WORKER = 3
+"""Submissions under way for each worker, so that none is idle while results are taken."""
+TOGETHER = 0.25
+"""Time [s] of tasks that are submitted together: a submission to a cluster takes milliseconds."""
+MOST_TOGETHER = 100
+ATTEMPTS = 2
+"""Times that a task is run alone after its process died among others."""
+CONNECTING = 20.0
+"""Seconds until a scheduler that does not answer is given up."""
+ONE_THREAD = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "POLARS_MAX_THREADS": "1",
+    "LOKY_MAX_MEMORY_LEAK_SIZE": "1e12",
+}
+"""Settings of a worker: the processes share the cores, threads would share them once more. A worker
+that has grown by 300 MB is no leak, and is not replaced."""
+
+
+class Executor(Protocol):
+    """Run functions elsewhere, as `concurrent.futures.Executor` and Dask's executor do."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        """Run a function on arguments; all must be picklable."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome(Generic[Task, Result]):
+    """Hold a task with its result, or why it has none."""
+
+    task: Task
+    result: Result | None = None
+    problem: str | None = None
+
+
+@dataclass(eq=False)
+class Workers:
+    """Hold an executor that can be replaced once its processes are lost.
+
+    Parameters
+    ----------
+    count
+        Number of workers.
+    executor
+        Runs the tasks.
+    renew
+        Returns an executor in place of one that is broken; None if the executor repairs itself.
+    dashboard
+        Address of the page that shows the work, if there is one.
+    """
+
+    count: int
+    executor: Executor
+    renew: Callable[[], Executor] | None = None
+    dashboard: str | None = None
+
+    def run(
+        self, function: Callable[[Task], Result], tasks: Iterable[Task]
+    ) -> Iterator[Outcome[Task, Result]]:
+        """Yield the outcome of each task as it is done; few tasks are submitted ahead.
+
+        Short tasks are submitted several at a time. Where a process dies, all tasks under way are
+        repeated one at a time, so that only the one that kills its process fails.
+        """
+        waiting, pace = iter(tasks), _Pace()
+        running: dict[Future[_Done], list[Task]] = {}
+        while True:
+            suspects: list[Task] = []
+            while len(running) < self.count * PER_WORKER and not suspects:
+                batch = list(islice(waiting, pace.batch))
+                if not batch:
+                    break
+                suspects += self._started(function, batch, running)
+            if not running and not suspects:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done if running else ():
+                yield from self._outcomes(future, running.pop(future), pace, suspects)
+            if suspects:
+                for future in wait(running).done:
+                    yield from self._outcomes(future, running.pop(future), pace, suspects)
+                self._renew()
+                yield from (self._alone(function, task) for task in suspects)
+
+    def _started(
+        self,
+        function: Callable[[Task], Result],
+        batch: list[Task],
+        running: dict[Future[_Done], list[Task]],
+    ) -> list[Task]:
+        """Submit tasks; return them if the executor is broken."""
+        try:
+            running[self.executor.submit(_run_batch, function, batch)] = batch
+        except BrokenExecutor:
+            return batch
+        return []
+
+    def _outcomes(
+        self, future: Future[_Done], batch: list[Task], pace: _Pace, suspects: list[Task]
+    ) -> Iterator[Outcome[Task, Result]]:
+        """Yield the outcomes of tasks; those whose process died are added to `suspects`."""
+        try:
+            done = future.result()
+        except Exception as problem:
+            if len(batch) > 1 or isinstance(problem, BrokenExecutor | CancelledError):
+                suspects += batch
+            else:
+                yield Outcome(batch[0], problem=_reason(problem))
+            return
+        pace.add(len(batch), done.seconds)
+        for task, result, why in zip(batch, done.results, done.problems, strict=True):
+            yield Outcome(task, result, why)
+
+    def _alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
+        """Return the outcome of a task that is the only one under way."""
+        for _ in range(ATTEMPTS):
+            try:
+                done = self.executor.submit(_run_batch, function, [task]).result()
+            except (BrokenExecutor, CancelledError):
+                self._renew()
+            except Exception as problem:
+                return Outcome(task, problem=_reason(problem))
+            else:
+                return Outcome(task, done.results[0], done.problems[0])
+        return Outcome(
+            task, problem=f"its worker was killed {ATTEMPTS} times, such as for want of memory"
+        )
+
+    def _renew(self) -> None:
+        if self.renew is not None:
+            self.executor = self.renew()
+
+
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """Hold results, or why there are none, of tasks that took `seconds` together."""
+
+    results: list[Any]
+    problems: list[str | None]
+    seconds: float
+
+
+@dataclass(slots=True)
+class _Pace:
+    """Choose how many tasks are submitted together."""
+
+    tasks: int = 0
+    seconds: float = 0.0
+
+    @property
+    def batch(self) -> int:
+        """Number of tasks that take about `TOGETHER` seconds."""
+        if not self.tasks:
+            return 1
+        return max(1, min(MOST_TOGETHER, int(TOGETHER * self.tasks / max(self.seconds, 1e-9))))
+
+    def add(self, tasks: int, seconds: float) -> None:
+        """Count tasks and the time they took."""
+        self.tasks += tasks
+        self.seconds += seconds
+
+
+def _run_batch(function: Callable[[Any], Any], tasks: list[Any]) -> _Done:
+    began, done = time.monotonic(), _Done([], [], 0.0)
+    for task in tasks:
+        try:
+            result, problem = function(task), None
+        except Exception as error:
+            result, problem = None, _reason(error)
+        done.results.append(result)
+        done.problems.append(problem)
+    return _Done(done.results, done.problems, time.monotonic() - began)
+
+
+def _reason(problem: BaseException) -> str:
+    if type(problem).__name__ == "KilledWorker":
+        return "its worker was killed again and again"
+    return f"{type(problem).__name__}: {problem}"
+
+
+@contextmanager
+def open_workers(workers: int | None = None, scheduler: str | None = None) -> Iterator[Workers]:
+    """Yield workers: processes of this machine, or those of a Dask scheduler.
+
+    Parameters
+    ----------
+    workers
+        Number of processes, by default one for each core; 1 runs the tasks in a process too, 0 in
+        this one.
+    scheduler
+        Address of a Dask scheduler, such as `tcp://10.0.0.1:8786`.
+
+    Raises
+    ------
+    UsageError
+        If the number is negative, or no scheduler answers.
+    MissingExtraError
+        If Dask is needed and not installed.
+    """
+    if scheduler is not None:
+        with _cluster(scheduler) as found:
+            yield found
+        return
+    count = len(os.sched_getaffinity(0)) if workers is None else workers
+    if count < 0:
+        raise UsageError(f"the number of workers must be 0 or more, got {count}")
+    if count == 0:
+        yield Workers(1, _Here())
+        return
+    pools: list[Any] = []
+
+    def renew() -> Executor:
+        for pool in pools:
+            pool.shutdown(wait=True, kill_workers=True)
+        pools[:] = [_pool(count)]
+        return pools[0]  # type: ignore[no-any-return]
+
+    try:
+        yield Workers(count, renew(), renew)
+    finally:
+        for pool in pools:
+            pool.shutdown(wait=True, kill_workers=True)
+
+
+class _Here:
+    """Run tasks in this process when they are submitted."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*arguments))
+        except Exception as problem:
+            future.set_exception(problem)
+        return future
+
+
+def _pool(count: int) -> Any:
+    process_executor = import_module("loky.process_executor")
+    with interrupts_ignored():
+        pool = process_executor.ProcessPoolExecutor(
+            count, timeout=None, initializer=_begin, initargs=(os.getpid(),), env=ONE_THREAD
+        )
+        pool.submit(os.getpid).result()
+    return pool
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Workers]:
+    try:
+        distributed = import_module("distributed")
+    except ImportError:
+        raise MissingExtraError("distributed", "cluster", "a Dask scheduler") from None
+    try:
+        client = distributed.Client(address, timeout=CONNECTING)
+    except (OSError, ValueError) as problem:
+        raise UsageError(
+            f"no Dask scheduler answers at {address}: {problem}",
+            cure=Cure("start one with `dask scheduler`, and workers with `dask worker ADDRESS`"),
+        ) from None
+    try:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise UsageError(
+                f"the Dask scheduler at {address} has no workers",
+                cure=Cure(f"start some with `dask worker {address}`"),
+            )
+        executor = client.get_executor(pure=False)
+        yield Workers(threads, executor, dashboard=client.dashboard_link)
+    finally:
+        client.close()
+
+
+def _begin(parent: int) -> None:
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End this process soon after its parent, which may be killed without a chance to say so."""
+    while os.getppid() == parent:
+        time.sleep(ORPHAN_CHECK)
+    os._exit(1)
+
+
+@contextmanager
+def interrupts_ignored() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C, which this process handles."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

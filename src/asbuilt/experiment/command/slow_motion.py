@@ -1,0 +1,39 @@
+"""Speed below which the direction of motion, and so of dry friction, is unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.samples import Samples
+
+FIRST_PERCENT = 1.0
+"""Percentile of the changes of position that is taken as one step of an encoder."""
+
+
+def direction_speeds(recording: Recording, cutoff: float) -> tuple[float, ...]:
+    """Return the speed of each joint below which its direction is unknown [rad/s or m/s].
+
+    An encoder with steps s has errors up to s / 2; low-passed at f they are velocities up to
+    `pi f s`. A position servo that stands still there holds any torque up to dry friction.
+
+    Examples
+    --------
+    >>> t = np.arange(0.0, 2.0, 0.01)
+    >>> q = np.round(np.sin(t) / 0.001)[:, None] * 0.001
+    >>> round(direction_speeds(Recording(t=t, q=q, tau=q), cutoff=10.0)[0], 4)
+    0.0314
+    """
+    changes = np.abs(np.diff(recording.q, axis=0))
+    steps = []
+    for change in changes.T:
+        moved = change[np.isfinite(change) & (change > 1e-12 * np.nanmax(np.abs(recording.q)))]
+        steps.append(float(np.percentile(moved, FIRST_PERCENT)) if moved.size else 0.0)
+    return tuple(np.pi * cutoff * step for step in steps)
+
+
+def moving_faster(samples: Samples, recording: Recording, cutoff: float) -> Samples:
+    """Return samples whose rows count only where the direction of a joint is known."""
+    return replace(samples, slowest=direction_speeds(recording, cutoff))

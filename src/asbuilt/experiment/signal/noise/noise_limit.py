@@ -1,0 +1,186 @@
+"""Cutoff beyond which positions hold more noise than motion, by the torque that was measured.
+
+A motion whose position has the spectrum S takes the torque I^2 w^4 S for its acceleration alone.
+Where the measured torque has less, the difference is noise of the positions: steps of an encoder,
+digits of a file, jitter of a clock. A low-pass at c leaves the noise below c in the regressor, and
+loses the torque above c that the model could predict. Both are squared errors of the predicted
+torque; the cutoff keeps their sum small, as a Wiener filter does (Wiener, Extrapolation,
+Interpolation, and Smoothing of Stationary Time Series, 1949).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import signal
+
+from asbuilt.arrays import Array
+
+LOWEST = 3.0
+"""Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a second."""
+WINDOW = 10.0
+"""Length of the averaged spectra's windows [s]."""
+MOVING, FAST = 0.02, 1e-3
+"""Shares of a joint's largest acceleration and velocity spectrum from which a frequency is one of
+its motion,"""
+ABOVE_NOISE = 100.0
+"""and multiple of the position's noise that its spectrum exceeds there."""
+QUANTILE = 0.25
+"""Quantile over these frequencies of torque over acceleration that counts as inertia.
+
+Gravity, friction and other joints add torque at some of them.
+"""
+TORQUE_FLOOR = 0.3
+"""Share of the sampling rate from which the torque is noise."""
+MODEL_ERROR = 0.02
+"""Smallest error of a model, as a share of the torque's standard deviation."""
+AS_GOOD = 1.02
+"""Predicted error, in multiples of the smallest, that counts as equally good."""
+BANDS = 12
+"""Bands from 1 Hz to half the sampling rate, equally wide in log frequency; noise is their median.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLimit:
+    """Hold the expected errors of cutoffs, and the noise of the positions.
+
+    Parameters
+    ----------
+    frequency
+        Frequencies [Hz], shape (F,).
+    error
+        Expected squared error of the torque with a low-pass there, relative to that with an ideal
+        one, shape (F, n).
+    noise
+        Spectrum of the positions that the torque does not account for [rad^2/Hz], shape (F, n).
+    """
+
+    frequency: Array
+    error: Array
+    noise: Array
+
+    def cutoff(self, usual: float) -> float:
+        """Return the highest cutoff up to `usual` [Hz] whose expected error is as good as the best.
+
+        The error is the geometric mean over joints, so that each counts by its own relative change
+        and none decides for all.
+        """
+        tried = (self.frequency >= LOWEST) & (self.frequency < usual)
+        if not tried.any():
+            return usual
+        at = np.flatnonzero(tried)
+        at = np.append(at, min(int(at[-1]) + 1, self.frequency.size - 1))
+        mean = np.mean(np.log(self.error[at]), axis=1)
+        good = at[mean <= mean.min() + 2.0 * np.log(AS_GOOD)]
+        return usual if good[-1] == at[-1] else float(self.frequency[good[-1]])
+
+    def limiting_joint(self, usual: float) -> int:
+        """Return the joint whose expected error grows most up to `usual` [Hz]."""
+        last = min(int(np.searchsorted(self.frequency, usual)), self.frequency.size - 1)
+        first = min(int(np.searchsorted(self.frequency, LOWEST)), last)
+        return int(np.argmax(self.error[last] / self.error[first : last + 1].min(axis=0)))
+
+    def density(self, cutoff: float) -> Array:
+        """Return the noise of the positions about a cutoff [Hz], a spectrum [rad^2/Hz], (n,)."""
+        near = (self.frequency >= 0.7 * cutoff) & (self.frequency <= 2.0 * cutoff)
+        return np.asarray(
+            np.median(self.noise[near], axis=0) if near.any() else 0.0 * self.noise[0],
+            dtype=np.float64,
+        )
+
+
+def noise_limit(
+    segments: Sequence[tuple[Array, Array]], rate: float, *, of_velocity: bool = False
+) -> NoiseLimit | None:
+    """Return the errors that a cutoff leaves, from positions and torques (L, n) of each segment.
+
+    Parameters
+    ----------
+    segments
+        Positions (or velocities) and torques, at one uniform `rate` [Hz].
+    rate
+        Sampling rate [Hz].
+    of_velocity
+        Whether velocities are given and differentiated, in place of positions.
+
+    Returns
+    -------
+    NoiseLimit or None
+        None if no segment lasts two periods of the lowest cutoff, or nothing moves.
+    """
+    window = min(round(WINDOW * rate), max(q.shape[0] for q, _ in segments))
+    if window < 2 * rate / LOWEST or rate < 4.0 * LOWEST:
+        return None
+    frequency = np.asarray(np.fft.rfftfreq(window, 1.0 / rate), dtype=np.float64)
+    position, torque = (_spectrum([each[i] for each in segments], rate, window) for i in range(2))
+    w = 2.0 * np.pi * frequency[:, None]
+    if of_velocity:
+        position = np.divide(position, w**2, out=np.zeros_like(position), where=w > 0.0)
+    acceleration = w**4 * position
+    inertia = _squared_inertia(frequency, position, acceleration, torque)
+    if not np.any(inertia > 0.0):
+        return None
+    excess = np.clip(inertia * acceleration - torque, 0.0, None) * (frequency >= LOWEST)[:, None]
+    share = np.divide(
+        excess, inertia * acceleration, out=np.zeros_like(excess), where=acceleration * inertia > 0
+    )
+    return NoiseLimit(
+        frequency,
+        _expected_errors(frequency, torque, excess, [tau for _, tau in segments], rate),
+        share * position,
+    )
+
+
+def _spectrum(parts: Sequence[Array], rate: float, window: int) -> Array:
+    """Return the spectrum (F, n) of the segments that are as long as the window."""
+    total = np.zeros((window // 2 + 1, parts[0].shape[1]))
+    weight = 0
+    for x in parts:
+        if x.shape[0] >= window:
+            _, density = signal.welch(
+                x, rate, window="blackmanharris", nperseg=window, detrend="constant", axis=0
+            )
+            total += x.shape[0] * density
+            weight += x.shape[0]
+    return total / weight
+
+
+def _squared_inertia(
+    frequency: Array, position: Array, acceleration: Array, torque: Array
+) -> Array:
+    """Return torque over acceleration, squared (n,), at frequencies of the motion."""
+    edges = np.geomspace(1.0, frequency[-1], BANDS + 1)
+    bands = [(frequency >= a) & (frequency < b) for a, b in pairwise(edges)]
+    noise = np.median([np.median(position[band], axis=0) for band in bands if band.any()], axis=0)
+    velocity = (2.0 * np.pi * frequency[:, None]) ** 2 * position
+    clear = position > ABOVE_NOISE * noise
+    clear &= velocity > FAST * velocity.max(axis=0)
+    clear = np.where(clear, acceleration, 0.0)
+    moving = (clear > MOVING * clear.max(axis=0)) & (clear > 0.0)
+    found = np.zeros(position.shape[1])
+    for k in np.flatnonzero(moving.any(axis=0)):
+        at = moving[:, k]
+        found[k] = np.quantile(torque[at, k] / acceleration[at, k], QUANTILE)
+    return found
+
+
+def _expected_errors(
+    frequency: Array, torque: Array, excess: Array, logged: Sequence[Array], rate: float
+) -> Array:
+    """Return the squared error with a low-pass at each frequency relative to an ideal one."""
+    above, width = (frequency >= LOWEST)[:, None], float(frequency[1])
+    floor = np.median(torque[frequency > TORQUE_FLOOR * rate], axis=0)
+    useful = np.clip(torque - floor, 0.0, None) * above
+    lost = (useful.sum(axis=0) - np.cumsum(useful, axis=0)) * width
+    power = np.maximum(
+        (torque * above).sum(axis=0) * width,
+        MODEL_ERROR**2 * np.mean([tau.var(axis=0) for tau in logged], axis=0),
+    )
+    power = np.maximum(power, np.finfo(np.float64).tiny)
+    rest = np.maximum(power - useful.sum(axis=0) * width, 0.0)
+    errors = (rest + lost + np.cumsum(excess, axis=0) * width) / power
+    return np.asarray(np.maximum(errors, MODEL_ERROR**2), dtype=np.float64)

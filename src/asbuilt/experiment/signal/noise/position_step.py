@@ -1,0 +1,96 @@
+"""Step of logged positions: resolution of an encoder, or digits of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asbuilt.arrays import Array
+
+MOST_DIFFERENCES = 20_000
+"""Differences of a joint that are used; of longer recordings every second, third, ..."""
+FEWEST = 30
+"""Differences other than 0 from which a step is measured."""
+NEAR = 0.1
+"""Distance from a multiple of the step, in steps, that counts as on it."""
+ON_MULTIPLES = 0.6
+"""Share of the differences on multiples of a step; of a continuous signal it is about 0.2.
+
+Up to 0.4 of them may be off: samples that were interpolated, or a digit that was lost.
+"""
+ONE_MULTIPLE = 0.6
+"""Share of one multiple among the changes, from which they may be a constant speed."""
+EXACT = 0.01
+"""Spread of the changes, in steps, up to which one multiple is a step all the same."""
+LARGEST_MULTIPLE = 60.0
+"""Typical difference in steps beyond which a step is too fine to be measured."""
+
+
+def position_steps(segments: Sequence[Array]) -> Array:
+    """Return the step of the values of each joint (n,), 0 where none is found.
+
+    A joint that takes values on a grid changes between samples by multiples of its step, whatever
+    the noise before the quantisation. The step is the largest number of which `ON_MULTIPLES` of
+    the changes are multiples. `segments` are positions (L, n).
+
+    Examples
+    --------
+    >>> q = np.round(np.sin(np.arange(2000) / 300.0) / 1e-3) * 1e-3
+    >>> position_steps([q[:, None]]).round(9).tolist()
+    [0.001]
+    """
+    return np.array(
+        [
+            _step(np.concatenate([np.diff(q[:, k]) for q in segments]))
+            for k in range(segments[0].shape[1])
+        ]
+    )
+
+
+def _step(differences: Array) -> float:
+    size = np.abs(differences[:: max(1, differences.size // MOST_DIFFERENCES)])
+    size = size[np.isfinite(size)]
+    if not size.size:
+        return 0.0
+    n_all = size.size
+    size = size[size > 1e-9 * max(float(size.max()), np.finfo(np.float64).tiny)]
+    if size.size < FEWEST:
+        return 0.0
+    for candidate in _candidates(size):
+        step = _refined(size, candidate)
+        if step > 0.0 and _share(size, step) >= ON_MULTIPLES:
+            return 0.0 if _constant_speed(size / step, n_all) else step
+    return 0.0
+
+
+def _candidates(size: Array) -> Array:
+    """Return possible steps, largest first: changes that are frequent, and their fractions."""
+    typical = float(np.median(size))
+    common = np.quantile(size, np.linspace(0.0, 0.9, 61))
+    gaps = np.diff(np.unique(np.round(size / typical, 3))) * typical
+    gaps = np.quantile(gaps, np.linspace(0.0, 0.9, 13)) if gaps.size else gaps
+    found = np.concatenate([common, common / 2.0, common / 3.0, gaps])
+    found = found[(found > typical / LARGEST_MULTIPLE) & (found <= 1.5 * typical)]
+    return np.unique(found)[::-1]
+
+
+def _refined(size: Array, step: float) -> float:
+    """Return the least-squares step of the differences that are near multiples of `step`."""
+    for most in (2.5, 8.5, LARGEST_MULTIPLE):
+        multiple = np.rint(size / step)
+        near = (np.abs(size / step - multiple) < 2.0 * NEAR) & (multiple >= 1) & (multiple < most)
+        if near.any():
+            step = float(size[near] @ multiple[near] / (multiple[near] @ multiple[near]))
+    return step
+
+
+def _share(size: Array, step: float) -> float:
+    multiple = np.rint(size / step)
+    return float(np.mean((np.abs(size / step - multiple) < NEAR) & (multiple >= 1)))
+
+
+def _constant_speed(multiples: Array, n_all: int) -> bool:
+    """Return whether the changes are of one size, as at a constant speed, and not exactly so."""
+    alike = np.abs(multiples - 1.0) < NEAR
+    return bool(alike.sum() > ONE_MULTIPLE * n_all and np.std(multiples[alike]) > EXACT)

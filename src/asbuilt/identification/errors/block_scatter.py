@@ -1,0 +1,134 @@
+"""What each time block adds to the error of an estimate: the data of tests of its parameters."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import ndtri, stdtr, stdtrit
+
+from asbuilt.arrays import Array
+from asbuilt.codec import stored
+from asbuilt.errors import ResultError
+
+FEWEST_DEGREES = 3.0
+"""Least degrees of freedom of a variance from time blocks."""
+COVERED = 0.975
+"""Upper quantile of the 95 % interval for which standard errors are widened."""
+MOST_GROUPS = 60
+"""Blocks whose errors are kept; of more, neighbours are added up."""
+
+
+def _packed(matrix: Array) -> dict[str, object]:
+    text = base64.b64encode(np.ascontiguousarray(matrix, dtype="<f8").tobytes()).decode("ascii")
+    return {"shape": list(matrix.shape), "values": text}
+
+
+def _unpacked(document: dict[str, object]) -> Array:
+    values = np.frombuffer(base64.b64decode(str(document["values"])), dtype="<f8")
+    shape = document["shape"]
+    if not isinstance(shape, list) or not np.all(np.isfinite(values)):
+        raise ValueError("expected finite numbers and their shape")
+    return values.reshape([int(length) for length in shape]).copy()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockScatter:
+    """Hold the scatter of an estimate of p parameters between B time blocks.
+
+    Parameters
+    ----------
+    moves
+        Part of each block in the error of the estimate, corrected for leverage, shape (B, p);
+        their sum of squares is the unwidened variance.
+    degrees_alone
+        Degrees of freedom of each variance (Satterthwaite), shape (p,), without
+    common_variance
+        the relative variance of a factor that is common to all.
+    """
+
+    moves: Array = field(metadata=stored(encode=_packed, decode=_unpacked))
+    degrees_alone: Array
+    common_variance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.moves.ndim != 2 or self.degrees_alone.shape != self.moves.shape[1:]:
+            raise ResultError(
+                f"block errors {self.moves.shape} need one number of degrees of freedom for each"
+                f" parameter, got {self.degrees_alone.shape}; identify again"
+            )
+        for values in (self.moves, self.degrees_alone):
+            values.setflags(write=False)
+
+    @property
+    def degrees_of_freedom(self) -> Array:
+        """Degrees of freedom of each variance, shape (p,)."""
+        return np.asarray(2.0 / (2.0 / self.degrees_alone + self.common_variance))
+
+    @classmethod
+    def of(cls, moves: Array, degrees_alone: Array, common_variance: float) -> BlockScatter:
+        """Return the scatter of any number of blocks in at most `MOST_GROUPS` groups."""
+        group = np.arange(len(moves)) * min(MOST_GROUPS, len(moves)) // max(len(moves), 1)
+        first = np.flatnonzero(np.diff(group, prepend=-1))
+        return cls(np.add.reduceat(moves, first, axis=0), degrees_alone, common_variance)
+
+    def beside(self, covariance: Array) -> BlockScatter:
+        """Return the scatter with independent errors of a further covariance (p, p)."""
+        values, axes = np.linalg.eigh(covariance)
+        kept = values > 1e-12 * max(float(values[-1]), 0.0)
+        further = (axes[:, kept] * np.sqrt(values[kept])).T
+        return BlockScatter(
+            np.vstack([self.moves, further]), self.degrees_alone, self.common_variance
+        )
+
+
+def widening(degrees_of_freedom: Array) -> Array:
+    """Return Student's 97.5 % quantile over the normal one; 1 for infinite degrees of freedom.
+
+    A standard error that is widened by it gives a 95 % interval of 1.96 standard errors.
+
+    >>> widening(np.array([5.0, np.inf])).round(3).tolist()
+    [1.312, 1.0]
+    """
+    freedom = np.maximum(np.asarray(degrees_of_freedom, dtype=np.float64), FEWEST_DEGREES)
+    finite = np.isfinite(freedom)
+    quantile = stdtrit(np.where(finite, freedom, 1e9), COVERED)
+    return np.where(finite, quantile / ndtri(COVERED), 1.0)
+
+
+def student_probability(sigmas: Array, degrees_of_freedom: Array) -> Array:
+    """Return the probability of as large a deviation in *widened* standard errors by chance.
+
+    Student's distribution of `sigmas` times `widening`.
+
+    >>> student_probability(np.array([1.96, 1.96]), np.array([5.0, np.inf])).round(3).tolist()
+    [0.05, 0.05]
+    """
+    freedom = np.maximum(np.asarray(degrees_of_freedom, dtype=np.float64), FEWEST_DEGREES)
+    deviation = np.abs(np.asarray(sigmas, dtype=np.float64)) * widening(freedom)
+    return np.asarray(2.0 * stdtr(np.where(np.isfinite(freedom), freedom, 1e12), -deviation))
+
+
+def summed_degrees(*parts: tuple[Array, Array]) -> Array:
+    """Return the degrees of freedom of sums of variances, each given with its own.
+
+    `(sum v)^2 / sum (v^2 / nu)` (Satterthwaite 1946; Welch 1947).
+
+    >>> summed_degrees((np.array([1.0]), np.array([9.0])), (np.array([1.0]), np.array([9.0])))
+    array([18.])
+    """
+    total = np.sum([variance for variance, _ in parts], axis=0)
+    spread = np.sum([variance**2 / freedom for variance, freedom in parts], axis=0)
+    none = np.full(np.shape(total), np.inf)
+    return np.asarray(np.divide(total**2, spread, out=none, where=spread > 0))
+
+
+def mean_degrees(degrees_of_freedom: Array) -> float:
+    """Return the harmonic mean of degrees of freedom; infinite if all are.
+
+    >>> mean_degrees(np.array([4.0, 12.0])), mean_degrees(np.array([np.inf, np.inf]))
+    (6.0, inf)
+    """
+    inverse = float(np.mean(1.0 / np.asarray(degrees_of_freedom, dtype=np.float64)))
+    return 1.0 / inverse if inverse > 0.0 else np.inf

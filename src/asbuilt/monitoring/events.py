@@ -1,0 +1,212 @@
+"""Events of a log: contact, fault of a joint, change of payload."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.codec import plain
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.monitoring.contact import Contact, estimate_contact
+from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observer import Observer
+
+Kind = Literal["contact", "fault", "payload"]
+
+PERSISTENT = 2.0
+"""Duration [s] from which an offset of one joint counts as a fault, and a payload is considered."""
+MOSTLY = 0.5
+"""Share of an event in which a joint must be beyond its threshold to take part in an offset."""
+QUIET = 0.7
+"""Share of its threshold that the residual of a joint without a part in an event may reach."""
+EXPLAINED = 0.8
+"""Share of the residual's squares that a payload must explain."""
+DETERMINED = 200.0
+"""Largest condition number (columns scaled) of the four parameters of a payload."""
+CLEAR = 3.0
+MOST_ROWS = 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Event:
+    """Hold one time in which a residual is beyond its threshold.
+
+    Parameters
+    ----------
+    kind
+        `"contact"`; `"fault"`: a lasting offset of one joint alone, as of a sensor, a gain or a
+        brake; `"payload"`: a lasting change that a change of mass on the flange explains.
+    start, end, peak
+        Times [s] of the first and last sample beyond a threshold, and of the largest excess.
+    joints
+        Joints beyond their thresholds at any time, in the order of the chain.
+    link
+        Link at or beyond which a contact acts: that of the last joint that responds.
+    residual, threshold
+        External torque and threshold at the peak, (n,) [N m or N].
+    contact
+        The force at the tool that explains the peak.
+    mass, mass_error
+        Change of mass [kg] and its standard error, of a payload.
+    """
+
+    kind: Kind
+    start: float
+    end: float
+    peak: float
+    joints: tuple[str, ...]
+    link: str
+    residual: Array
+    threshold: Array
+    contact: Contact
+    mass: float | None = None
+    mass_error: float | None = None
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample beyond a threshold [s]."""
+        return self.end - self.start
+
+    def as_document(self) -> dict[str, Any]:
+        """Return plain numbers, texts and lists."""
+        return dict(plain(self))
+
+
+def find_events(
+    observer: Observer,
+    observed: Observed,
+    scale: Array,
+    limit: Array,
+    tool: tuple[int, Array],
+    *,
+    apart: float,
+) -> tuple[Event, ...]:
+    """Return the events of a log in order of time.
+
+    Parameters
+    ----------
+    observer, observed
+        The observer and what it made of the log.
+    scale, limit
+        Scale and threshold of the residual (N, n), of `Thresholds.of_log`.
+    tool
+        Link that carries the tool, counted from 0, and pose (4, 4) of the tool's frame in it.
+    apart
+        Time [s] without a residual beyond its threshold that ends an event.
+    """
+    beyond = np.abs(observed.residual) > limit
+    places = np.flatnonzero(beyond.any(axis=1))
+    if places.size == 0:
+        return ()
+    cuts = np.flatnonzero(np.diff(observed.t[places]) > apart) + 1
+    return tuple(
+        _event(observer, observed, scale, limit, beyond, slice(part[0], part[-1] + 1), tool)
+        for part in np.split(places, cuts)
+    )
+
+
+def joined_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
+    """Return events with those closer than `apart` [s] joined, as chunks of a log divide them."""
+    found: list[Event] = []
+    for event in events:
+        if found and event.start - found[-1].end <= apart:
+            before = found.pop()
+            names = dict.fromkeys((*before.joints, *event.joints))
+            larger = max((before, event), key=lambda each: float(_excess(each)))
+            whole = replace(larger, start=before.start, end=event.end, joints=tuple(names))
+            found.append(whole)
+        else:
+            found.append(event)
+    return tuple(found)
+
+
+def _excess(event: Event) -> float:
+    return float(np.max(np.abs(event.residual) / event.threshold))
+
+
+def _event(
+    observer: Observer,
+    observed: Observed,
+    scale: Array,
+    limit: Array,
+    beyond: Mask,
+    part: slice,
+    tool: tuple[int, Array],
+) -> Event:
+    model, t = observer.model, observed.t[part]
+    ratio = np.abs(observed.residual[part]) / limit[part]
+    peak = part.start + int(np.argmax(ratio.max(axis=1)))
+    responding = np.flatnonzero(beyond[part].any(axis=0))
+    q, qd, qdd, r = (x[peak] for x in (observed.q, observed.qd, observed.qdd, observed.residual))
+    noise = np.diag(np.maximum(scale[peak], 1e-9) ** 2)
+    event = Event(
+        kind="contact",
+        start=float(t[0]),
+        end=float(t[-1]),
+        peak=float(observed.t[peak]),
+        joints=tuple(model.joint_names[k] for k in responding),
+        link=model.link_names[_last(model.parents, responding, ratio)],
+        residual=r,
+        threshold=limit[peak],
+        contact=estimate_contact(
+            model, q, r, noise + observer.model_error.covariance(q, qd, qdd), *tool
+        ),
+    )
+    if event.duration < PERSISTENT:
+        return event
+    mass = _payload(observer, observed, scale, part, tool[0])
+    if mass is not None:
+        return replace(event, kind="payload", mass=mass[0], mass_error=mass[1])
+    lasting = np.mean(ratio > 1.0, axis=0) > MOSTLY
+    if lasting.sum() == 1 and np.all(np.quantile(ratio, 0.9, axis=0)[~lasting] < QUIET):
+        return replace(event, kind="fault")
+    return event
+
+
+def _last(parents: Sequence[int], responding: NDArray[Any], ratio: Array) -> int:
+    """Return the responding joint farthest from the root; of branches that responding most."""
+    depth = [0] * len(parents)
+    for k, parent in enumerate(parents):
+        depth[k] = 0 if parent < 0 else depth[parent] + 1
+    ends = [int(k) for k in responding if not any(_above(parents, k, j) for j in responding)]
+    return max(ends, key=lambda k: (float(ratio[:, k].max()), depth[k]))
+
+
+def _above(parents: Sequence[int], joint: int, other: int) -> bool:
+    """Whether a joint carries another."""
+    other = parents[other]
+    while other >= 0:
+        if other == joint:
+            return True
+        other = parents[other]
+    return False
+
+
+def _payload(
+    observer: Observer, observed: Observed, scale: Array, part: slice, link: int
+) -> tuple[float, float] | None:
+    """Return the change of mass at a link that explains the residual, and its error, or None."""
+    t = observed.t[part]
+    spacing = max(
+        5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t))), len(t) / MOST_ROWS
+    )
+    rows = part.start + np.arange(0, len(t), max(1, round(spacing)))
+    weight = 1.0 / np.maximum(scale[rows], 1e-9).ravel()
+    columns = 10 * link + np.arange(6, 10)
+    state = (observed.q[rows], observed.qd[rows], observed.qdd[rows])
+    A = weight[:, None] * observation_matrix(observer.model, *state, columns=columns)
+    b = -weight * observed.residual[rows].ravel()
+    lengths = np.linalg.norm(A, axis=0)
+    if len(b) <= 8 or np.any(lengths == 0.0) or np.linalg.cond(A / lengths) > DETERMINED:
+        return None
+    found = np.linalg.lstsq(A, b, rcond=None)[0]
+    left = float(np.sum((b - A @ found) ** 2))
+    error = np.sqrt(np.linalg.inv(A.T @ A)[3, 3] * left / (len(b) - 4))
+    if left > (1.0 - EXPLAINED) * float(b @ b) or abs(found[3]) < CLEAR * error:
+        return None
+    return float(found[3]), float(error)

@@ -1,0 +1,155 @@
+"""Level that block maxima exceed at a stated rate: peaks over a threshold, predictive.
+
+Block maxima above a high quantile follow a generalised Pareto distribution (Pickands, 1975; Coles,
+2001, chapter 4): `P(x > u + y | x > u) = (1 + shape y / scale)^(-1/shape)`. With few blocks the
+error of shape and scale matters more than their values, so exceedance probabilities are averaged
+over their posterior; a level of predictive probability p is then exceeded with probability p on
+average over data sets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
+from asbuilt.findings import Cure
+
+FEWEST_BLOCKS = 20
+"""Blocks below which no tail is fitted."""
+TAIL = 0.15
+"""Share of the blocks that is taken as the tail, if these are at least `FEWEST_PEAKS`."""
+FEWEST_PEAKS = 10
+SHAPE_ERROR = 0.1
+"""Standard deviation of the prior of the shape about 0, the exponential tail: torque errors are
+sums of many bounded causes."""
+SHAPES = np.linspace(-0.4, 0.4, 41)
+SCALES = np.geomspace(0.25, 4.0, 61)
+"""Scales of the posterior, in mean excesses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tail:
+    """Hold a level and the tail that it follows from.
+
+    `start` is the quantile above which the tail is fitted, `peaks` of `blocks` exceed it, `shape`
+    and `scale` are posterior means.
+    """
+
+    level: float
+    start: float
+    peaks: int
+    blocks: int
+    shape: float
+    scale: float
+
+
+def block_maxima(t: Array, values: Array, seconds: float) -> Array:
+    """Return the largest values (B, n) of blocks of `seconds`, without blocks less than half full.
+
+    Parameters
+    ----------
+    t, values
+        Times (N,) [s], increasing, and values (N, n).
+    """
+    block = np.floor((t - t[0]) / seconds).astype(np.int64)
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    counts = np.diff(np.append(starts, len(t)))
+    full = counts >= 0.5 * seconds / float(np.median(np.diff(t)))
+    return np.asarray(np.maximum.reduceat(values, starts, axis=0)[full])
+
+
+def tail_level(maxima: Array, probability: float) -> Tail:
+    """Return the level that the next block maximum exceeds with a stated probability.
+
+    Parameters
+    ----------
+    maxima
+        Block maxima (B,), independent and of one distribution.
+    probability
+        Probability that one more block exceeds the level.
+
+    Raises
+    ------
+    RecordingError
+        If there are too few blocks.
+
+    Examples
+    --------
+    >>> maxima = -np.log(np.random.default_rng(0).uniform(size=2000))
+    >>> bool(abs(tail_level(maxima, 1e-3).level / np.log(1000.0) - 1.0) < 0.1)
+    True
+    """
+    x = np.sort(maxima)
+    blocks = len(x)
+    if blocks < FEWEST_BLOCKS:
+        raise RecordingError(
+            f"{blocks} blocks are too few for the tail of the residual; at least {FEWEST_BLOCKS}"
+            " are needed",
+            cure=Cure("give a longer recording without contact"),
+            value=blocks,
+            expected=FEWEST_BLOCKS,
+        )
+    peaks = min(max(round(TAIL * blocks), FEWEST_PEAKS), blocks // 2)
+    start = float(0.5 * (x[-peaks - 1] + x[-peaks]))
+    excess = np.maximum(x[-peaks:] - start, 0.0)
+    mean = float(excess.mean())
+    if not mean > 0.0:
+        return Tail(float(x[-1]), start, peaks, blocks, 0.0, 0.0)
+    shape, scale, weight = _posterior(excess / mean)
+    above = peaks / blocks
+    low, high = 0.0, 1.0
+    while above * _survival(high, shape, scale, weight) > probability and high < 1e9:
+        high *= 2.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        over = above * _survival(middle, shape, scale, weight) > probability
+        low, high = (middle, high) if over else (low, middle)
+    if probability >= above:
+        return Tail(float(np.quantile(x, 1.0 - probability)), start, peaks, blocks, 0.0, mean)
+    return Tail(
+        start + mean * high,
+        start,
+        peaks,
+        blocks,
+        float(np.sum(weight * shape)),
+        mean * float(np.sum(weight * scale)),
+    )
+
+
+def gumbel_level(maxima: Array, probability: float) -> float:
+    """Return the level of a Gumbel distribution through the first and fifth decile of maxima (B,).
+
+    It ignores the upper half of the blocks, so contacts in fewer than half do not move it much.
+    """
+    low, middle = np.quantile(maxima, [0.1, 0.5])
+    scale = (middle - low) / (np.log(np.log(10.0)) - np.log(np.log(2.0)))
+    place = middle + scale * np.log(np.log(2.0))
+    return float(place - scale * np.log(-np.log1p(-probability)))
+
+
+def _posterior(y: Array) -> tuple[Array, Array, Array]:
+    """Return shapes, scales and weights (K,) for excesses y (m,) of mean 1; flat in log scale."""
+    shape, scale = (grid.ravel() for grid in np.meshgrid(SHAPES, SCALES, indexing="ij"))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inside = np.maximum(1.0 + shape[:, None] * y / scale[:, None], 0.0)
+        power = np.where(
+            np.abs(shape)[:, None] < 1e-9,
+            y / scale[:, None],
+            (1.0 + 1.0 / np.where(shape == 0.0, 1.0, shape))[:, None] * np.log(inside),
+        )
+    likelihood = -len(y) * np.log(scale) - power.sum(axis=1) - 0.5 * (shape / SHAPE_ERROR) ** 2
+    likelihood[~np.isfinite(likelihood) | np.any(inside <= 0.0, axis=1)] = -np.inf
+    weight = np.exp(likelihood - likelihood.max())
+    return shape, scale, weight / weight.sum()
+
+
+def _survival(y: float, shape: Array, scale: Array, weight: Array) -> float:
+    inside = np.maximum(1.0 + shape * y / scale, 0.0)
+    with np.errstate(divide="ignore", over="ignore"):
+        exponent = np.where(
+            np.abs(shape) < 1e-9, -y / scale, -np.log(inside) / np.where(shape == 0, 1.0, shape)
+        )
+    return float(np.sum(weight * np.where(inside > 0.0, np.exp(exponent), 0.0)))

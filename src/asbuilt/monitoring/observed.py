@@ -1,0 +1,35 @@
+"""What an observer makes of a log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observed:
+    """Hold what an observer makes of a log.
+
+    `t` (N,), `share` (N,) the weight of each new sample, -1 where the observer starts anew; `q`,
+    `qd`, the lagged acceleration `qdd` and the `residual` (N, n) [N m or N].
+    """
+
+    t: Array
+    share: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    residual: Array
+
+    def select(self, keep: Mask) -> Observed:
+        """Return the samples where `keep` (N,) is true; lags start anew after a gap."""
+        share = self.share.copy()
+        share[1:][~keep[:-1]] = -1.0
+        return Observed(
+            self.t[keep],
+            share[keep],
+            *(np.ascontiguousarray(x[keep]) for x in (self.q, self.qd, self.qdd, self.residual)),
+        )

@@ -1,0 +1,235 @@
+"""Generalised momentum observer of external torque."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.momentum import lagged
+from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.findings import Cure
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring.balance import MomentumBalance, torque_model
+from asbuilt.monitoring.causal_filter import CausalFilter, filter_pole, filtered_log
+from asbuilt.monitoring.model_error import ModelError
+from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.thresholds import Thresholds
+
+BANDWIDTH = 8.0
+"""Bandwidth [Hz]: 63 % of a step within 20 ms."""
+LONGEST_STEP = 0.1
+"""Time between samples [s] from which the observer starts anew."""
+
+
+class Observer:
+    """Estimate the external torque from momentum, sample by sample.
+
+    The residual is `r = K (p - p(0) - integral(tau + b + r) dt)` with `p = (M + A) qd` and
+    `b = C^T qd - g - friction`, so that `dr/dt = K (tau_ext - r)`: each joint's external torque
+    behind a first-order lag, without accelerations and without inverting M. Between samples the
+    external torque is taken as constant and `tau + b` as linear; then
+
+    `r_k = a r_(k-1) + (1 - a) ((p_k - p_(k-1)) / dt - (tau + b)_mean)`, `a = exp(-K dt)`,
+
+    is exact for any step, hence stable for any clock. Sources: De Luca and Mattone (2005),
+    Haddadin, De Luca and Albu-Schaeffer (2017), section IV-C.
+
+    Parameters
+    ----------
+    robot
+        An identified robot, or one as described with the drives of its description.
+    bandwidth
+        K over 2 pi [Hz].
+    thresholds
+        Limits of the residual, for `threshold` and `alarms`; their bandwidth replaces `bandwidth`.
+
+    Raises
+    ------
+    UsageError
+        If the bandwidth is not positive, or thresholds belong to other joints.
+
+    Examples
+    --------
+    A constant torque of 1 N m on the first joint of an arm held still:
+
+    >>> import asbuilt
+    >>> model = asbuilt.load_robot("two-link")
+    >>> observer, q = Observer(model, bandwidth=8.0), np.array([0.3, 0.4])
+    >>> held = asbuilt.gravity_torque(model, q) - [1.0, 0.0]
+    >>> for k in range(101):
+    ...     residual = observer.update(0.001 * k, q, held, np.zeros(2))
+    >>> (residual[0] - (1.0 - np.exp(-2 * np.pi * 8.0 * 0.1))).round(9).item()
+    0.0
+    """
+
+    def __init__(
+        self,
+        robot: IdentificationResult | RobotModel | TorqueModel,
+        *,
+        bandwidth: float = BANDWIDTH,
+        thresholds: Thresholds | None = None,
+    ) -> None:
+        self.torque_model = torque_model(robot)
+        self.model = self.torque_model.model
+        if thresholds is not None:
+            thresholds.check_joints(self.model.joint_names)
+            bandwidth = thresholds.bandwidth
+        if not (np.isfinite(bandwidth) and bandwidth > 0.0):
+            raise UsageError(f"the bandwidth must be a positive number [Hz], got {bandwidth}")
+        self.bandwidth, self.thresholds = bandwidth, thresholds
+        self.model_error = ModelError.of(robot)
+        self._balance = MomentumBalance(self.torque_model)
+        self._gain = 2.0 * np.pi * bandwidth
+        self._filter: CausalFilter | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything but the robot."""
+        n = self.model.n_joints
+        self._t: float | None = None
+        self._p = self._s = np.zeros(n)
+        self.q, self.qd, self.qdd = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.residual, self.slowness = np.zeros(n), np.zeros(n)
+
+    def update(self, t: float, q: ArrayLike, tau: ArrayLike, qd: ArrayLike | None = None) -> Array:
+        """Return the residual (n,) [N m or N] after one more sample.
+
+        Parameters
+        ----------
+        t
+            Time [s]. After more than 0.1 s without a sample the observer starts anew.
+        q, tau
+            Positions [rad or m] and torques [N m or N] of the drives, shape (n,).
+        qd
+            Velocities, shape (n,); None: positions and torques go through one causal filter, which
+            differentiates, and delays both by half of the observer's lag.
+
+        Raises
+        ------
+        UsageError
+            If time does not advance, shapes do not fit or a value is not finite.
+        """
+        n, last = self.model.n_joints, self._t
+        given = [np.array(x, dtype=np.float64) for x in (q, tau) + (() if qd is None else (qd,))]
+        for name, value in zip(("q", "tau", "qd"), given, strict=False):
+            if value.shape != (n,) or not np.isfinite(value).all():
+                raise UsageError(f"{name} must be {n} finite numbers at t = {t:g} s, got {value}")
+        if last is not None and not t > last:
+            raise UsageError(f"time must advance, got {t:g} s after {last:g} s")
+        dt = np.inf if last is None else t - last
+        if dt > LONGEST_STEP:
+            self.restart()
+            self._filter = None
+        q, tau = given[:2]
+        qd = given[2] if qd is not None else None
+        if qd is None:
+            q, qd, tau = self._filtered(dt, q, tau)
+        self._t = t
+        if self._filter is not None and not self._filter.is_settled:
+            dt = np.inf
+        self._advance(dt, q, qd, tau)
+        return self.residual.copy()
+
+    @property
+    def threshold(self) -> Array:
+        """The residual (n,) beyond which the last sample is an alarm."""
+        if self.thresholds is None:
+            raise UsageError(
+                "this observer has no thresholds",
+                cure=Cure("give it thresholds", call="set_thresholds"),
+            )
+        error = self.model_error.std(self.q[None], self.qd[None], self.qdd[None])[0]
+        return self.thresholds.limit(self.qd, self.slowness, error)
+
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """Names of the joints whose residual is beyond its threshold."""
+        beyond = np.abs(self.residual) > self.threshold
+        return tuple(name for name, off in zip(self.model.joint_names, beyond, strict=True) if off)
+
+    def observe(
+        self, t: ArrayLike, q: ArrayLike, tau: ArrayLike, qd: ArrayLike | None = None
+    ) -> Observed:
+        """Return what `update` gives on a whole log, at once; the observer itself is unchanged.
+
+        Parameters
+        ----------
+        t
+            Times [s], shape (N,).
+        q, tau, qd
+            As for `update`, shape (N, n).
+
+        Raises
+        ------
+        RecordingError
+            If time does not advance, or a value is not finite.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        q, tau = (np.ascontiguousarray(x, dtype=np.float64) for x in (q, tau))
+        steps = np.diff(times, prepend=-np.inf)
+        if not np.all(steps > 0.0):
+            k = int(np.argmin(steps > 0.0))
+            raise RecordingError(
+                f"time must advance, got {times[k]:g} s after {times[k - 1]:g} s",
+                cure=Cure("sort the samples by time, and leave repeated ones out"),
+                time=float(times[k]),
+            )
+        steps[steps > LONGEST_STEP] = -1.0
+        if qd is None:
+            q, v, tau, settled = filtered_log(steps, q, tau, self.pole(steps))
+            steps[~settled] = -1.0
+        else:
+            v = np.ascontiguousarray(qd, dtype=np.float64)
+        _check_finite(times, q=q, tau=tau, qd=v)
+        share = np.where(steps > 0.0, -np.expm1(-self._gain * np.maximum(steps, 0.0)), -1.0)
+        p, b = self._balance.of_samples(q, v)
+        s, inner = tau + b, np.maximum(steps, 1e-12)[1:, None]
+        external, rate = np.zeros(q.shape), np.zeros(q.shape)
+        external[1:] = np.diff(p, axis=0) / inner - 0.5 * (s[1:] + s[:-1])
+        rate[1:] = np.diff(v, axis=0) / inner
+        return Observed(times, share, q, v, lagged(share, rate), lagged(share, external))
+
+    def pole(self, steps: Array) -> float:
+        """Return the pole [rad/s] of the causal filter for positive time steps [s]."""
+        forward = steps[steps > 0.0]
+        return filter_pole(self.bandwidth, 1.0 / float(np.median(forward)) if forward.size else 1e3)
+
+    def _filtered(self, dt: float, q: Array, tau: Array) -> tuple[Array, Array, Array]:
+        """Return filtered position, velocity and torque; the second sample settles the filter."""
+        both, n = np.concatenate([q, tau]), q.size
+        if not np.isfinite(dt) or self._filter is None:
+            self._filter = CausalFilter(filter_pole(self.bandwidth, 1e3))
+            self._filter.start(both)
+            self._unsettled = True
+            return q, np.zeros(n), tau
+        if self._unsettled:
+            self._filter.pole, self._unsettled = filter_pole(self.bandwidth, 1.0 / dt), False
+        x, v = self._filter.update(dt, both)
+        return x[:n].copy(), v[:n].copy(), x[n:].copy()
+
+    def _advance(self, dt: float, q: Array, qd: Array, tau: Array) -> None:
+        p, b = self._balance.of_sample(np.ascontiguousarray(q), np.ascontiguousarray(qd))
+        s = tau + b
+        if dt <= LONGEST_STEP:
+            share = -np.expm1(-self._gain * dt)
+            external = (p - self._p) / dt - 0.5 * (s + self._s)
+            self.residual = self.residual + share * (external - self.residual)
+            self.qdd = self.qdd + share * ((qd - self.qd) / dt - self.qdd)
+            if self.thresholds is not None:
+                slow = self.thresholds.slow(self.qd, qd)
+                self.slowness = self.slowness + share * (slow - self.slowness)
+        self._p, self._s, self.q, self.qd = p, s, q, qd
+
+
+def _check_finite(t: Array, **given: Array) -> None:
+    for name, values in given.items():
+        if not np.isfinite(values).all():
+            sample, joint = np.argwhere(~np.isfinite(values))[0]
+            raise RecordingError(
+                f"{name} of joint {joint + 1} is {values[sample, joint]} at t = {t[sample]:g} s",
+                cure=Cure("remove or fill such samples first"),
+                time=float(t[sample]),
+            )

@@ -1,0 +1,202 @@
+"""Verdict on a recording: joint by joint, is the model as built better or worse than CAD."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.special import stdtr
+
+from asbuilt.arrays import Array
+from asbuilt.findings import Finding, joined
+from asbuilt.tables import significant
+from asbuilt.validation.attribution.causes import CAUSES
+from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.comparison.significance import holm
+from asbuilt.validation.prediction import Validation
+
+if TYPE_CHECKING:
+    from asbuilt.validation.attribution.attribution import Attribution
+
+Outcome = Literal["better", "worse", "undecided"]
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictRule:
+    """Say when predictions differ.
+
+    `level` is the familywise error over the joints (Holm). Time is divided into `blocks`, none
+    shorter than `shortest` [s], so that the errors of successive blocks are about independent.
+    """
+
+    level: float = 0.05
+    blocks: int = 20
+    shortest: float = 1.0
+
+
+RULE = VerdictRule()
+
+
+@dataclass(frozen=True, slots=True)
+class JointVerdict:
+    """Hold the RMS torque errors at a joint, CAD's and as built, and how sure their order is.
+
+    `sigmas` is the mean over time blocks of CAD's squared error minus that as built, in its
+    standard errors: positive if the model as built is better. None with fewer than three blocks.
+    `p_value` is by Student's distribution, `holm` for as many joints.
+    """
+
+    joint: str
+    unit: str
+    cad: float
+    as_built: float
+    sigmas: float | None
+    p_value: float | None
+    holm: float | None
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionVerdict:
+    """Hold the verdict on a recording: all joints, weighted by CAD's error, and each one."""
+
+    source: str
+    n_blocks: int
+    whole: JointVerdict
+    joints: tuple[JointVerdict, ...]
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether CAD predicts the recording better than the model, at some joint or on the whole.
+
+        Beyond chance; on the whole also if it is undecided and the error as built is larger.
+        """
+        return (
+            self.whole.outcome == "worse"
+            or (self.whole.outcome == "undecided" and self.whole.as_built > self.whole.cad)
+            or any(joint.outcome == "worse" for joint in self.joints)
+        )
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in a sentence, bad news first."""
+        parts = [
+            f"{outcome.upper() if outcome == 'worse' else outcome} at {joined(named, 7)}"
+            for outcome in ("worse", "better")
+            if (named := [_named(joint) for joint in self.joints if joint.outcome == outcome])
+        ]
+        undecided = [joint.joint for joint in self.joints if joint.outcome == "undecided"]
+        if undecided:
+            parts.append(f"no sure difference at {joined(undecided, 7)}")
+        if self.whole.sigmas is None:
+            return f"As built against CAD on {self.source}: too short for a verdict."
+        return f"As built against CAD on {self.source}: {'; '.join(parts)}."
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain numbers and texts, ready for JSON."""
+        return asdict(self) | {
+            "joints": [asdict(joint) for joint in self.joints],
+            "worse_than_cad": self.is_worse,
+            "sentence": self.sentence,
+        }
+
+
+def cad_verdict(validation: Validation) -> PredictionVerdict:
+    """Compare squared errors as built and by CAD, block by block of time.
+
+    The mean difference of B blocks over its standard error has Student's distribution with B - 1
+    degrees of freedom (paired comparison; Diebold & Mariano, J. Business & Economic Statistics 13,
+    1995, with blocks in place of a spectral estimate).
+    """
+    cad = validation.measured - validation.predicted_cad
+    built = validation.error
+    block = _blocks(validation.t)
+    gains = _means(cad**2 - built**2, block)
+    scale = np.maximum(np.mean(cad**2, axis=0), np.finfo(np.float64).tiny)
+    columns = np.column_stack([gains, np.mean(gains / scale, axis=1)])
+    sigmas, p = _student(columns)
+    strict = holm(p[:-1]) if len(p) > 1 else p
+    relative = np.sqrt(np.mean(built**2, axis=0) / scale)
+    joints = tuple(
+        _verdict(name, unit, float(np.sqrt(scale[k])), float(relative[k] * np.sqrt(scale[k])), *one)
+        for k, (name, unit, *one) in enumerate(
+            zip(
+                validation.joint_names,
+                validation.units,
+                sigmas[:-1].tolist(),
+                p[:-1].tolist(),
+                strict.tolist(),
+                strict=True,
+            )
+        )
+    )
+    whole = _verdict(
+        "all", "of CAD's", 1.0, float(np.sqrt(np.mean(relative**2))), sigmas[-1], p[-1], p[-1]
+    )
+    return PredictionVerdict(recording_name(validation.source), int(block[-1]) + 1, whole, joints)
+
+
+def cad_verdict_findings(validations: Sequence[Validation]) -> tuple[Finding, ...]:
+    """Return the verdict on each recording that was not used to fit."""
+    found = [cad_verdict(validation) for validation in validations]
+    return tuple(
+        Finding("verdict_against_cad", "info", verdict.sentence.rstrip(".")) for verdict in found
+    )
+
+
+def cause_findings(attribution: Attribution | None) -> tuple[Finding, ...]:
+    """Return the causes of the CAD error, if any was found."""
+    if attribution is None or not attribution.chosen:
+        return ()
+    named = joined([CAUSES[cause] for cause in attribution.chosen])
+    said = (
+        f"Causes of the torque error of CAD: {named}, which explain"
+        f" {100 * attribution.explained:.0f} % of its square on {attribution.judged_by}"
+    )
+    return (Finding("causes_of_cad_error", "info", said),)
+
+
+def _blocks(t: Array) -> Array:
+    """Return the number of the time block of each sample, counted from 0 without gaps."""
+    seconds = max(RULE.shortest, float(t[-1] - t[0]) / RULE.blocks)
+    return np.asarray(np.unique(np.floor((t - t[0]) / seconds + 1e-9), return_inverse=True)[1])
+
+
+def _means(values: Array, block: Array) -> Array:
+    """Return the means (B, n) of values (N, n) of each block, scaled so that their mean is all's.
+
+    Blocks of a few samples have little weight.
+    """
+    count = np.bincount(block).astype(np.float64)
+    sums = np.column_stack([np.bincount(block, weights=column) for column in values.T])
+    return np.asarray(sums * (len(count) / count.sum()))
+
+
+def _student(gains: Array) -> tuple[Array, Array]:
+    """Return mean over standard error, NaN with fewer than three blocks, and its p value."""
+    n = len(gains)
+    if n < 3:
+        return np.full(gains.shape[1], np.nan), np.ones(gains.shape[1])
+    mean, error = gains.mean(axis=0), gains.std(axis=0, ddof=1) / np.sqrt(n)
+    sigmas = np.divide(mean, error, out=np.zeros_like(mean), where=error > 0)
+    return sigmas, np.asarray(2.0 * stdtr(n - 1, -np.abs(sigmas)))
+
+
+def _verdict(
+    joint: str, unit: str, cad: float, built: float, sigmas: float, p: float, strict: float
+) -> JointVerdict:
+    known = bool(np.isfinite(sigmas))
+    sure = known and strict <= RULE.level
+    outcome: Outcome = "undecided" if not sure else "better" if sigmas > 0 else "worse"
+    if not known:
+        return JointVerdict(joint, unit, cad, built, None, None, None, outcome)
+    return JointVerdict(joint, unit, cad, built, float(sigmas), float(p), float(strict), outcome)
+
+
+def _named(joint: JointVerdict) -> str:
+    return (
+        f"{joint.joint} ({significant(joint.as_built)} for {significant(joint.cad)} {joint.unit},"
+        f" {abs(joint.sigmas or 0.0):.1f} standard errors)"
+    )

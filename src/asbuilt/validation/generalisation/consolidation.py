@@ -1,0 +1,104 @@
+"""Findings of a study in few: one for each cause, the most consequential first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+from asbuilt.findings import SEVERITIES, Finding, joined
+
+EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "consistent_fit_costly": ("base_tilt", "spring_suspected"),
+        "consistent_fit_rejected": ("base_tilt", "spring_suspected"),
+        "weak_excitation": ("ill_conditioned", "poorly_determined"),
+        "ill_conditioned": ("poorly_determined",),
+        "few_blocks": ("poorly_determined",),
+        "joints_correlated": ("poorly_determined",),
+        "link_mass_differs": ("base_tilt",),
+    }
+)
+"""Findings that follow from another one, or repeat it; beside it they are good to know only."""
+
+WEIGHT: tuple[str, ...] = (
+    "gravity_direction",
+    "torque_scale",
+    "joint_torque_scale",
+    "base_tilt",
+    "consistent_fit_rejected",
+    "consistent_fit_costly",
+    "spring_suspected",
+    "does_not_generalise",
+    "cad_predicts_better",
+    "link_mass_differs",
+    "poorly_determined",
+)
+"""Warnings that change torques or parameters most, in this order; others follow them."""
+MOST_NAMED = 4
+
+
+def consolidated(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return findings merged by cause and ranked, errors first.
+
+    Of warnings of one code, at several joints or in several recordings, the first names the others,
+    which are kept as information; so is what another warning explains (`EXPLAINED`).
+    """
+    merged = _together(findings)
+    present = {each.code for each in merged if each.severity != "info"}
+    told = [
+        replace(each, severity="info")
+        if each.severity == "warning" and present.intersection(EXPLAINED.get(each.code, ()))
+        else each
+        for each in merged
+    ]
+    return tuple(sorted(told, key=_rank))
+
+
+def _rank(finding: Finding) -> tuple[int, int]:
+    weight = WEIGHT.index(finding.code) if finding.code in WEIGHT else len(WEIGHT)
+    return SEVERITIES.index(finding.severity), weight
+
+
+def _together(findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings, of warnings of one code the first as that of all."""
+    groups: dict[str, list[Finding]] = {}
+    for each in findings:
+        if each.severity == "warning" and (each.joint is not None or _source(each)):
+            groups.setdefault(each.code, []).append(each)
+    told: list[Finding] = []
+    for each in findings:
+        group = groups.get(each.code, [each])
+        if each is group[0]:
+            told.append(_naming_all(group))
+        elif any(each is other for other in group):
+            told.append(replace(each, severity="info"))
+        else:
+            told.append(each)
+    return told
+
+
+def _naming_all(group: Sequence[Finding]) -> Finding:
+    """Return the first finding of a group with the joints and recordings of the others."""
+    first, others = group[0], group[1:]
+    own = _source(first)
+    elsewhere = list(dict.fromkeys(s for s in map(_source, others) if s not in ("", own)))
+    joints = list(
+        dict.fromkeys(
+            each.joint
+            for each in others
+            if _source(each) == own and each.joint not in (None, first.joint)
+        )
+    )
+    named = [name for name in joints if name is not None]
+    more = [
+        *([f"likewise {joined(named, MOST_NAMED)}"] if named else []),
+        *([f"likewise in {joined(elsewhere, MOST_NAMED)}"] if elsewhere else []),
+    ]
+    return replace(first, message="; ".join([first.message, *more]))
+
+
+def _source(finding: Finding) -> str:
+    """Return the recording that a finding of a check begins with, empty if it names none."""
+    name, found, _ = finding.message.partition(": ")
+    return name if found and " " not in name else ""

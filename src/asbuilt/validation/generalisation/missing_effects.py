@@ -1,0 +1,155 @@
+"""Effects that the model lacks and the recording shows: their bias is in no standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.errors.block_scatter import student_probability, widening
+from asbuilt.identification.information.cause_data import TILTS, CauseData
+from asbuilt.identification.information.triangular import triangular_factor
+from asbuilt.validation.comparison.significance import holm
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
+
+
+@dataclass(frozen=True, slots=True)
+class EffectRule:
+    """Say when an effect is named.
+
+    `level` is the familywise error over all effects (Holm). An effect less than `separate` of
+    which, in torque, lies outside the columns of the model has no bias that data could show.
+    """
+
+    level: float = 0.01
+    separate: float = 1e-3
+
+
+RULE = EffectRule()
+TILT = "base tilt"
+
+
+@dataclass(frozen=True, slots=True)
+class MissingEffect:
+    """Hold an effect at a joint (None: of the base) and its size in standard errors."""
+
+    effect: str
+    joint: str | None
+    sigmas: float
+    holm: float
+
+
+def missing_effects(result: IdentificationResult) -> tuple[MissingEffect, ...]:
+    """Return the effects that are significant beside the model, the surest first.
+
+    Each column v of the cause data that the model lacks is added alone: `z = v'^T e / (s |v'|)`, v'
+    its part outside the columns of the model, e the residual (a score test: Rao 1948). s^2 is the
+    residual variance times the design effect of the parameters, so that correlated residuals are
+    allowed for.
+    """
+    data = result.cause_data
+    if data is None:
+        return ()
+    with one_blas_thread():
+        columns = _lacking(data, result)
+        if not columns:
+            return ()
+        inside, e = _outside(data, result, list(columns))
+    length = np.linalg.norm(inside, axis=0)
+    variance = float(e @ e) / max((data.n_fitted + data.n_judged) * data.n_joints - result.rank, 1)
+    growth, freedom = _growth(result)
+    kept = np.flatnonzero(length > 0.0)
+    if variance <= 0.0 or not kept.size:
+        return ()
+    sigmas = (inside[:, kept].T @ e) / (length[kept] * np.sqrt(variance) * growth)
+    freedoms = np.full(len(kept), freedom)
+    strict = holm(student_probability(sigmas / widening(freedoms), freedoms))
+    places = list(columns.values())
+    found = [
+        MissingEffect(*places[k], float(abs(z)), float(p))
+        for k, z, p in zip(kept.tolist(), sigmas, strict, strict=True)
+        if p <= RULE.level
+    ]
+    return tuple(sorted(found, key=lambda each: -each.sigmas))
+
+
+def missing_effect_findings(result: IdentificationResult) -> tuple[Finding, ...]:
+    """Return one finding that names the effects which the model lacks."""
+    found = missing_effects(result)
+    if not found:
+        return ()
+    joints: dict[str, list[str]] = {}
+    for each in found:
+        joints.setdefault(each.effect, []).extend([each.joint] if each.joint else [])
+    named = joined(
+        [f"{effect} at {joined(at, 4)}" if at else effect for effect, at in joints.items()]
+    )
+    terms = [effect for effect in joints if effect != TILT]
+    settings: Mapping[str, str] = (
+        {"drive": ",".join((*result.base.drive.specifications, *terms))} if terms else {}
+    ) | ({"mounting": "estimate"} if TILT in joints else {})
+    return (
+        Finding(
+            "missing_effect",
+            "warning",
+            f"The recording shows effects that the model lacks: {named} (up to"
+            f" {found[0].sigmas:.1f} standard errors). Standard errors do not hold their bias",
+            Cure("identify with them", dict(settings)),
+        ),
+    )
+
+
+def _growth(result: IdentificationResult) -> tuple[float, float]:
+    """Return block error over textbook error, typical of all parameters, and how well it is known.
+
+    The latter as degrees of freedom: those of the parameters together, less what is common to all.
+    """
+    growth = max(result.errors.growth or 1.0, 1.0)
+    if result.scatter is None:
+        return growth, np.inf
+    narrow = growth / float(np.median(widening(result.degrees_of_freedom)))
+    together = result.rank * float(np.median(result.scatter.degrees_alone))
+    return max(narrow, 1.0), 2.0 / (2.0 / together + result.scatter.common_variance)
+
+
+def _lacking(data: CauseData, result: IdentificationResult) -> dict[str, tuple[str, str | None]]:
+    """Return the columns that the model lacks, with the effect and joint of each."""
+    terms = {
+        name: (term.key, data.joint_names[k])
+        for k in range(data.n_joints)
+        for term in data.drive.terms
+        for name in (f"{symbol}{k + 1}" for symbol in term.symbols)
+    }
+    tilts: dict[str, tuple[str, str | None]] = dict.fromkeys(TILTS, (TILT, None))
+    known = set(result.base.names)
+    candidates = {**terms, **({} if "mounting" in result.corrected else tilts)}
+    return {
+        name: candidates[name] for name in data.names if name in candidates and name not in known
+    }
+
+
+def _outside(
+    data: CauseData, result: IdentificationResult, columns: list[str]
+) -> tuple[Array, Array]:
+    """Return the parts of columns and torque outside those of the model, (rows, m) and (rows,)."""
+    own, further = data.places(result.base.names), data.places(columns)
+    chosen = np.concatenate([own, further, [len(data.names)]])
+    rows = [
+        weight * factor[:, chosen]
+        for factors in (data.fitted, data.judged)
+        for weight, factor in zip(result.weights, data.whole(factors), strict=True)
+    ]
+    stacked = np.vstack(rows)
+    scale = np.linalg.norm(stacked, axis=0)
+    p = len(own)
+    R = triangular_factor(stacked / np.where(scale > 0.0, scale, 1.0))
+    inside = R[p:, p:-1].copy()
+    inside[:, np.linalg.norm(inside, axis=0) < RULE.separate] = 0.0
+    return inside, np.asarray(R[p:, -1] * scale[-1])

@@ -1,0 +1,1 @@
+"""Fleets: many robots over time, kept as information in a ledger."""

@@ -1,0 +1,1 @@
+"""The ledger: append-only store of the information of logs."""

@@ -1,0 +1,256 @@
+"""The ledger: append-only store of the information of the logs of many robots."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+
+from asbuilt.codec import json_text
+from asbuilt.errors import AsbuiltError, ResultError, UsageError
+from asbuilt.findings import Cure, Finding
+from asbuilt.workflow.fleet.ledger.entry import (
+    Entry,
+    EntryName,
+    content_digest,
+    entry_from,
+    folder_of,
+    robot_of,
+)
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.ledger.store import Store, open_store
+
+FORMAT = "asbuilt fleet ledger"
+FORMAT_VERSION = 1
+MARK = "ledger.json"
+FOLDERS = ("logs", "pending", "types")
+
+
+@dataclass(frozen=True, eq=False)
+class Ledger:
+    """Read and append to a ledger; `open_ledger` makes it.
+
+    Files are written once and never changed: `types/TYPE/GENERATION-DIGEST.json` are the settings
+    of a robot type, `logs/ID/DATE-SOURCE-SETTINGS-CONTENT.parquet` the entries. The digests in the
+    names are the manifest: any number of writers append without a file that they share, and a file
+    that was damaged is found. What a ledger holds does not depend on the order in which it was
+    written.
+    """
+
+    store: Store
+
+    @property
+    def root(self) -> str:
+        """Folder or URL."""
+        return self.store.root
+
+    @cached_property
+    def findings(self) -> list[Finding]:
+        """What is wrong with files that were read so far; they were skipped."""
+        return []
+
+    def robot_ids(self) -> list[str]:
+        """Return the identities of all robots, sorted."""
+        return sorted(robot_of(name) for name in self.store.names("logs"))
+
+    def types(self) -> dict[str, TypeSettings]:
+        """Return the settings of each robot type: the first of the latest generation."""
+        found: dict[str, TypeSettings] = {}
+        for each in self.all_settings():
+            known = found.get(each.robot_type)
+            if known is None or each.generation > known.generation:
+                found[each.robot_type] = each
+        return found
+
+    def all_settings(self) -> Iterator[TypeSettings]:
+        """Yield the settings of all types and generations; damaged ones are named and skipped."""
+        for folder in self.store.names("types"):
+            for name in self.store.names(f"types/{folder}"):
+                path = f"types/{folder}/{name}"
+                try:
+                    yield TypeSettings.from_content(self.store.read(path), path)
+                except (ResultError, OSError) as problem:
+                    self._skip(path, problem)
+
+    def settings_of(self, robot_type: str) -> TypeSettings | None:
+        """Return the settings of a robot type; None if no log of it was added yet."""
+        return self.types().get(robot_type)
+
+    def names(self, robot_id: str) -> list[EntryName]:
+        """Return the names of a robot's entries of any settings, by date."""
+        folder, found = folder_of(robot_id), []
+        for name in self.store.names(folder):
+            parsed = EntryName.parse(robot_id, name)
+            if parsed is None:
+                self._name_foreign(f"{folder}/{name}")
+            else:
+                found.append(parsed)
+        return sorted(found)
+
+    def current_names(
+        self,
+        robot_id: str,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        types: dict[str, TypeSettings] | None = None,
+    ) -> list[tuple[EntryName, TypeSettings]]:
+        """Return a robot's entries of the latest settings with these, by date, each log once.
+
+        Dates are `since <= date < until`.
+        """
+        found: dict[str, tuple[EntryName, TypeSettings]] = {}
+        for name, settings in self._all_current(robot_id, since, until, types):
+            found.setdefault(name.source, (name, settings))
+        return list(found.values())
+
+    def _all_current(
+        self,
+        robot_id: str,
+        since: datetime | None,
+        until: datetime | None,
+        types: dict[str, TypeSettings] | None,
+    ) -> list[tuple[EntryName, TypeSettings]]:
+        """Return the names of entries of the latest settings; a log may have several."""
+        known = self.types() if types is None else types
+        by_digest = {each.digest: each for each in known.values()}
+        names = self.names(robot_id)
+        current = {name.source for name in names if name.settings in by_digest}
+        left_out = len({name.source for name in names} - current)
+        if left_out:
+            self._say(
+                Finding(
+                    "ledger_entries_superseded",
+                    "info",
+                    f"{left_out} logs of {robot_id} have entries of earlier settings only, and are"
+                    " left out",
+                    Cure("rebuild the ledger from all logs, these too", call="rebuild_ledger"),
+                )
+            )
+        return [
+            (name, by_digest[name.settings])
+            for name in names
+            if name.settings in by_digest
+            and (since is None or name.date >= since)
+            and (until is None or name.date < until)
+        ]
+
+    def read(self, name: EntryName, settings: TypeSettings) -> Entry | None:
+        """Return an entry; None if its file is damaged, which is named in `findings`."""
+        try:
+            return entry_from(self.store.read(name.path), name, settings)
+        except (ResultError, OSError) as problem:
+            self._skip(name.path, problem)
+            return None
+
+    def entries(
+        self,
+        robot_id: str,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        types: dict[str, TypeSettings] | None = None,
+    ) -> list[Entry]:
+        """Return a robot's sound entries of the latest settings, `since <= date < until`."""
+        found: dict[str, Entry] = {}
+        for name, settings in self._all_current(robot_id, since, until, types):
+            entry = None if name.source in found else self.read(name, settings)
+            if entry is not None:
+                found[name.source] = entry
+        return list(found.values())
+
+    def is_sound(self, name: EntryName) -> bool:
+        """Return whether the file of an entry has the content that was written."""
+        try:
+            return content_digest(self.store.read(name.path)) == name.content
+        except OSError:
+            return False
+
+    def append(self, entry: Entry) -> EntryName:
+        """Write an entry, unless it is there and sound."""
+        name = entry.name
+        if not self.is_sound(name):
+            self.store.write(name.path, entry.content)
+        return name
+
+    def append_settings(self, settings: TypeSettings) -> TypeSettings:
+        """Write the settings of a type; return those that are valid, of several writers' ones."""
+        self.store.write(settings.path, settings.content)
+        return self.settings_of(settings.robot_type) or settings
+
+    def _skip(self, path: str, problem: Exception) -> None:
+        message = problem.message if isinstance(problem, AsbuiltError) else f"{path}: {problem}"
+        cure = problem.cure if isinstance(problem, AsbuiltError) else None
+        self._say(Finding("ledger_file_damaged", "warning", f"Skipped: {message}", cure))
+
+    def _name_foreign(self, path: str) -> None:
+        self._say(
+            Finding(
+                "ledger_file_foreign",
+                "warning",
+                f"Skipped: {path} is no entry of a ledger",
+                Cure("remove it"),
+            )
+        )
+
+    def _say(self, finding: Finding) -> None:
+        if finding not in self.findings:
+            self.findings.append(finding)
+
+
+def open_ledger(root: str, *, create: bool = False) -> Ledger:
+    """Return the ledger in a folder or at a URL such as `s3://bucket/ledger`.
+
+    Parameters
+    ----------
+    root
+        Where it is.
+    create
+        Whether an empty or missing folder becomes a ledger.
+
+    Raises
+    ------
+    UsageError
+        If there is no ledger, or the folder holds something else.
+    ResultError
+        If the ledger is of another version, or its mark is damaged.
+    """
+    store = open_store(root)
+    names = store.names("")
+    if MARK not in names:
+        if not create:
+            raise UsageError(
+                f"{root} is not a ledger: it has no {MARK}",
+                cure=Cure("give the folder or URL that logs were added to", call="add_logs"),
+                file=root,
+            )
+        foreign = [name for name in names if name not in FOLDERS]
+        if foreign:
+            raise UsageError(
+                f"{root} is not a ledger, and holds other files ({foreign[0]})",
+                cure=Cure("give an empty or new folder"),
+                file=root,
+            )
+        mark = {"format": FORMAT, "format_version": FORMAT_VERSION}
+        store.write(MARK, json_text(mark).encode())
+        return Ledger(store)
+    _check_mark(root, store)
+    return Ledger(store)
+
+
+def _check_mark(root: str, store: Store) -> None:
+    try:
+        mark = json.loads(store.read(MARK))
+        version = mark["format_version"] if mark["format"] == FORMAT else None
+    except (OSError, ValueError, KeyError, TypeError) as problem:
+        raise ResultError(
+            f"{root} is not a ledger: {MARK} is damaged ({type(problem).__name__})",
+            cure=Cure(f"restore {MARK} from that of another ledger of the same version"),
+            file=root,
+        ) from problem
+    if version != FORMAT_VERSION:
+        raise ResultError(
+            f"the ledger {root} has format version {version}, this program reads {FORMAT_VERSION}",
+            cure=Cure("use the version of asbuilt that wrote it, or add its logs to a new ledger"),
+            file=root,
+        )

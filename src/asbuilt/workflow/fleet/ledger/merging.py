@@ -1,0 +1,57 @@
+"""Merging of neighbouring time blocks in a fixed tree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import triangular_factor
+
+
+def merged_factors(factors: Array) -> Array:
+    """Return one factor (q, q) of several (m, q, q), merged pair by pair.
+
+    The tree depends on m alone, so the result is the same to the last bit wherever it is made; an
+    entry takes part in log2(m) mergers, not in m.
+    """
+    while len(factors) > 1:
+        pairs = factors[: len(factors) // 2 * 2].reshape(-1, 2 * factors.shape[1], factors.shape[2])
+        merged = np.array([triangular_factor(pair) for pair in pairs])
+        factors = np.concatenate([merged, factors[2 * len(pairs) :]])
+    return np.asarray(factors[0])
+
+
+def merged_blocks(information: SquareRootInformation, most: int) -> SquareRootInformation:
+    """Return the information with at most `most` blocks, equal numbers of neighbours merged.
+
+    Blocks of different recordings are merged too where there are more recordings than `most`.
+    """
+    n = information.n_blocks
+    if n <= most:
+        return information
+    edges = np.linspace(0, n, most + 1).round().astype(int).tolist()
+    groups = [range(first, last) for first, last in pairwise(edges)]
+    with one_blas_thread():
+        factors = tuple(
+            np.array([merged_factors(each[group.start : group.stop]) for group in groups])
+            for each in information.factors
+        )
+    return SquareRootInformation(
+        information.base,
+        information.joint_names,
+        information.support,
+        factors,
+        np.array([information.torque_sum[g.start : g.stop].sum(axis=0) for g in groups]),
+        tuple(_together(information.blocks[g.start : g.stop]) for g in groups),
+    )
+
+
+def _together(blocks: Sequence[TimeBlock]) -> TimeBlock:
+    first, last = blocks[0], blocks[-1]
+    return TimeBlock(first.source, first.start, last.stop, sum(each.n_samples for each in blocks))

@@ -1,0 +1,1 @@
+"""Reduction of logs to the information that a ledger keeps."""

@@ -1,0 +1,371 @@
+"""Logs of robots added to a ledger, each reduced by a worker."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import AsbuiltError, RecordingError, UsageError
+from asbuilt.executor import Outcome, Workers, open_workers
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.readers import grouped_files
+from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
+from asbuilt.workflow.fleet.reduction.first_settings import choose_settings
+from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask, reduce_log
+from asbuilt.workflow.fleet.suspicions import suspicions
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.prepare import Progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetOptions:
+    """Say who reduces logs.
+
+    Parameters
+    ----------
+    workers
+        Number of processes; None: one for each core. 0 reduces in this process.
+    scheduler
+        Address of a Dask scheduler whose workers reduce the logs in their place.
+    """
+
+    workers: int | None = field(
+        default=None,
+        metadata={
+            "help": "processes that reduce logs (default: one for each core)",
+            "metavar": "N",
+        },
+    )
+    scheduler: str | None = field(
+        default=None,
+        metadata={
+            "help": "Dask scheduler whose workers reduce the logs, such as tcp://10.0.0.1:8786",
+            "metavar": "ADDRESS",
+            "parse": str,
+        },
+    )
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.scheduler is not None:
+            raise UsageError(
+                "the workers of a scheduler are not counted here; give workers or a scheduler",
+                cure=Cure("start as many Dask workers as you want"),
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """Hold what became of the logs that were to be added.
+
+    Parameters
+    ----------
+    ledger
+        Folder or URL.
+    settings
+        What the logs were reduced with.
+    fixed
+        Whether these logs fixed it.
+    added, skipped, failed
+        Reports of logs with a new entry, with an entry already, and without.
+    findings
+        What is wrong, or worth knowing, errors first.
+    seconds
+        Time taken.
+    dashboard
+        Address of the page of the cluster that did the work.
+    """
+
+    ledger: str
+    settings: tuple[TypeSettings, ...]
+    fixed: bool
+    added: tuple[LogReport, ...]
+    skipped: tuple[LogReport, ...]
+    failed: tuple[LogReport, ...]
+    findings: tuple[Finding, ...]
+    seconds: float
+    dashboard: str | None = None
+
+
+def add_logs(
+    ledger: str | Path,
+    robot: RobotModel | str | Path,
+    logs: Sequence[str | Path],
+    *,
+    robot_id: str | Callable[[Path], str],
+    reading: ReadingOptions | None = None,
+    options: StudyOptions | None = None,
+    fleet: FleetOptions | None = None,
+    date: datetime | None = None,
+    progress: Progress | None = None,
+) -> Addition:
+    """Reduce logs of robots of one type to information and append it to a ledger.
+
+    The first log of a type fixes the signal chain, the drive terms and their nonlinear parameters.
+    Logs that are in the ledger are skipped, so that an interrupted call is repeated as it was. A
+    log that cannot be used is listed in `failed`, and the rest goes on. The ledger is the same to
+    the last bit for any number of workers and any order of the logs.
+
+    Parameters
+    ----------
+    ledger
+        Folder or URL such as `s3://bucket/ledger`; it is made if it is missing or empty.
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    logs
+        Files; those whose names differ in the quantity alone are one recording.
+    robot_id
+        Identity of the robot, or a function that returns it for a log.
+    reading
+        How to read the logs.
+    options
+        How to reduce the first log of a type: `drive`, `chain` and `checked` count.
+    fleet
+        Who does the work.
+    date
+        When the logs were recorded; None: as their sheets, time stamps or names say.
+    progress
+        Called with what is done and the fraction.
+
+    Returns
+    -------
+    Addition
+        What was added, skipped and failed, and findings.
+
+    Raises
+    ------
+    UsageError
+        If the place is no ledger, no log is given, or no log can fix the settings.
+    """
+    began = time.monotonic()
+    reading, options = reading or ReadingOptions(), options or StudyOptions()
+    described = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    if reading.gravity is not None:
+        described = described.with_gravity(reading.gravity)
+    recordings = recordings_of(logs)
+    opened = open_ledger(str(ledger), create=True)
+    with open_workers(*who(fleet)) as workers:
+        settings, fixed, failed = _settings(
+            opened, described, recordings, reading, options, robot_id, workers
+        )
+        unusable = {report.log for report in failed}
+        tasks = (
+            LogTask(
+                ledger=opened.root,
+                settings_path=settings.path,
+                robot_id=_identity(robot_id, files[0]),
+                paths=files,
+                reading=reading,
+                date=date,
+                checked=options.checked,
+            )
+            for files in recordings
+            if str(files[0]) not in unusable
+        )
+        reports = [*failed, *run_tasks(workers, tasks, len(recordings) - len(failed), progress)]
+        dashboard = workers.dashboard
+    return conclude_addition(
+        opened, (settings,), reports, fixed=fixed, began=began, dashboard=dashboard
+    )
+
+
+def id_from(pattern: str) -> Callable[[Path], str]:
+    """Return a function that finds the identity of a robot in the path of a log.
+
+    Parameters
+    ----------
+    pattern
+        End of the path, in which `{id}` stands for the identity and `*` for anything, both within
+        one name: `{id}/*.csv`, `*_{id}.parquet`.
+
+    Raises
+    ------
+    UsageError
+        If the pattern has no `{id}`; the function raises it for a path that does not match.
+
+    Examples
+    --------
+    >>> id_from("{id}/*.csv")(Path("logs/arm-7/2026-03-01.csv"))
+    'arm-7'
+    """
+    if pattern.count("{id}") != 1:
+        raise UsageError(
+            f"the pattern {pattern!r} must have one {{id}}, in the place of the robot's identity",
+            cure=Cure("write one such as {id}/*.csv"),
+        )
+    text = re.escape(pattern).replace(r"\{id\}", "(?P<id>[^/]+?)").replace(r"\*", "[^/]*")
+    compiled = re.compile(rf"(?:^|/){text}$")
+
+    def identity(path: Path) -> str:
+        found = compiled.search(path.as_posix())
+        if found is None:
+            raise UsageError(f"{path} does not match the pattern {pattern!r} of identities")
+        return found["id"]
+
+    return identity
+
+
+def run_tasks(
+    workers: Workers, tasks: Iterable[LogTask], count: int, progress: Progress | None
+) -> Iterator[LogReport]:
+    """Yield the report of each task, with rate and remaining time to `progress`."""
+    report, began = progress or (lambda what, fraction: None), time.monotonic()
+    if workers.dashboard:
+        report(f"reduce: {count} logs, dashboard at {workers.dashboard}", 0.0)
+    else:
+        report(f"reduce: {count} logs by {workers.count} workers", 0.0)
+    for done, outcome in enumerate(workers.run(reduce_log, tasks), start=1):
+        yield _report(outcome)
+        rate = done / max(time.monotonic() - began, 1e-9)
+        left = (count - done) / rate
+        report(
+            f"reduce: {done} of {count} logs, {rate:.3g} a second, {_duration(left)} left",
+            done / count,
+        )
+
+
+def conclude_addition(
+    ledger: Ledger,
+    settings: tuple[TypeSettings, ...],
+    reports: Sequence[LogReport],
+    *,
+    fixed: bool,
+    began: float,
+    dashboard: str | None,
+) -> Addition:
+    """Return what became of all logs, in the order of their paths, and what is suspicious."""
+    ordered = sorted(reports, key=lambda each: each.log)
+    added = tuple(each for each in ordered if each.added)
+    said = [found for each in ordered for found in each.findings]
+    if fixed:
+        said += [
+            Finding(
+                "ledger_settings_fixed",
+                "info",
+                f"Fixed for all logs of {each.robot_type}: {each.chosen[0]}",
+            )
+            for each in settings
+        ]
+    for robot_id in sorted({each.robot_id for each in added}):
+        said += suspicions(ledger, robot_id)
+    return Addition(
+        ledger=ledger.root,
+        settings=settings,
+        fixed=fixed,
+        added=added,
+        skipped=tuple(e for e in ordered if not e.added and e.problem is None),
+        failed=tuple(each for each in ordered if each.problem is not None),
+        findings=ranked([*said, *ledger.findings]),
+        seconds=time.monotonic() - began,
+        dashboard=dashboard,
+    )
+
+
+def who(fleet: FleetOptions | None) -> tuple[int | None, str | None]:
+    """Return the number of workers and the address of the scheduler."""
+    chosen = fleet or FleetOptions()
+    return chosen.workers, chosen.scheduler
+
+
+def recordings_of(logs: Sequence[str | Path]) -> list[tuple[Path, ...]]:
+    """Return the files of each recording, sorted, missing ones too."""
+    if not logs:
+        raise UsageError("no log is given; give at least one")
+    paths = sorted({Path(each) for each in logs})
+    present = [path for path in paths if path.exists()]
+    groups = [tuple(group) for group in grouped_files(present)]
+    return sorted([*groups, *((path,) for path in paths if not path.exists())])
+
+
+def _identity(robot_id: str | Callable[[Path], str], path: Path) -> str:
+    found = robot_id if isinstance(robot_id, str) else robot_id(path)
+    if not found.strip() or len(found) > 60:
+        raise UsageError(f"the identity of a robot has 1 to 60 characters, got {found!r}")
+    return found
+
+
+def _settings(
+    ledger: Ledger,
+    described: RobotModel,
+    recordings: Sequence[tuple[Path, ...]],
+    reading: ReadingOptions,
+    options: StudyOptions,
+    robot_id: str | Callable[[Path], str],
+    workers: Workers,
+) -> tuple[TypeSettings, bool, list[LogReport]]:
+    """Return the settings of a type, whether they are new, and the logs that could not fix them."""
+    for files in recordings:
+        _identity(robot_id, files[0])
+    known = ledger.settings_of(robot_type_of(described))
+    if known is not None:
+        _check_asked(known, options)
+        return known, False, []
+    failed: list[LogReport] = []
+    for files in recordings:
+        identity = _identity(robot_id, files[0])
+        try:
+            outcome = next(workers.run(_chosen, [(described, files, reading, options)]))
+            if outcome.result is None:
+                raise RecordingError(outcome.problem or "")
+            if isinstance(outcome.result, AsbuiltError):
+                raise outcome.result
+            return ledger.append_settings(outcome.result), True, failed
+        except RecordingError as problem:
+            failed.append(
+                LogReport(str(files[0]), identity, problem=problem.message, cure=problem.cure)
+            )
+    reason = failed[0].problem
+    raise RecordingError(
+        f"none of {len(recordings)} logs can fix the settings of {described.name}: {reason}",
+        cure=failed[0].cure,
+    )
+
+
+def _chosen(
+    task: tuple[RobotModel, tuple[Path, ...], ReadingOptions, StudyOptions],
+) -> TypeSettings | AsbuiltError:
+    described, files, reading, options = task
+    try:
+        return choose_settings(described, [files], reading=reading, options=options)
+    except AsbuiltError as problem:
+        return problem
+
+
+def _check_asked(known: TypeSettings, options: StudyOptions) -> None:
+    """Raise `UsageError` if other settings are asked for than the ledger has."""
+    if options.drive is not None and str(options.drive) not in (
+        known.asked_drive,
+        str(known.drive),
+    ):
+        raise UsageError(
+            f"the ledger has the drive terms {known.drive} for {known.robot_type}, not"
+            f" {options.drive}",
+            cure=Cure("leave them out, or rebuild the ledger from its logs"),
+        )
+    chain = options.chain
+    if chain is not None and chain not in (type(chain)(), known.asked_chain, known.chain):
+        raise UsageError(
+            f"the ledger has another signal chain for {known.robot_type}: {known.chosen[0]}",
+            cure=Cure("leave the options of filtering out, or rebuild the ledger from its logs"),
+        )
+
+
+def _report(outcome: Outcome[LogTask, LogReport]) -> LogReport:
+    if outcome.result is not None:
+        return outcome.result
+    task = outcome.task
+    return LogReport(str(task.paths[0]), task.robot_id, problem=outcome.problem or "it failed")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = seconds / 60
+    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"

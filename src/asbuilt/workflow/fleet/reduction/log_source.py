@@ -1,0 +1,114 @@
+"""What identifies a log: the hash of its content, and when it was recorded."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure
+from asbuilt.workflow.fleet.ledger.entry import DateSource
+
+EARLIEST, LATEST = datetime(2000, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
+"""Dates that a clock can be trusted for; a counter since power-on is none."""
+_IN_NAME = re.compile(
+    r"(?<!\d)(20\d\d)([-_.]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])"
+    r"(?:[T_ -]?([01]\d|2[0-3])[-_.:h]?([0-5]\d)(?:[-_.:m]?([0-5]\d))?)?(?!\d)"
+)
+
+
+def source_hash(paths: Sequence[Path]) -> str:
+    """Return the SHA-256 of the content of a recording's files, which may lie in folders.
+
+    Raises `RecordingError` if one cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        for path in sorted(paths, key=lambda each: each.name):
+            inside = sorted(path.rglob("*")) if path.is_dir() else [path]
+            for file in inside:
+                if file.is_file():
+                    with file.open("rb") as stream:
+                        digest.update(hashlib.file_digest(stream, "sha256").digest())
+    except OSError as problem:
+        raise RecordingError(
+            f"recording {paths[0]} cannot be read: {problem.strerror or problem}",
+            file=str(paths[0]),
+        ) from problem
+    return digest.hexdigest()
+
+
+def parse_date(text: str) -> datetime:
+    """Return a date or a date with time, in UTC unless it names a time zone.
+
+    Raises `UsageError` for anything else.
+
+    >>> parse_date("2026-03-01").isoformat(), parse_date("2026-03-01T12:30+02:00").isoformat()
+    ('2026-03-01T00:00:00+00:00', '2026-03-01T10:30:00+00:00')
+    """
+    try:
+        return in_utc(datetime.fromisoformat(text.strip()))
+    except ValueError:
+        raise UsageError(
+            f"{text!r} is not a date; expected one such as 2026-03-01 or 2026-03-01T12:30:00",
+            value=text,
+        ) from None
+
+
+def in_utc(date: datetime) -> datetime:
+    """Return a date in UTC, which one without time zone is in already."""
+    return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
+
+
+def date_in_name(path: Path) -> datetime | None:
+    """Return the date in the name of a log, or else of its folder.
+
+    >>> date_in_name(Path("r1/2026-03-01/run_2026-03-01_12-30-05.csv")).isoformat()
+    '2026-03-01T12:30:05+00:00'
+    >>> date_in_name(Path("run_20260301.csv")).isoformat(), date_in_name(Path("run_7.csv"))
+    ('2026-03-01T00:00:00+00:00', None)
+    """
+    for text in (path.name, path.parent.name):
+        found = _IN_NAME.search(text)
+        if found:
+            year, _, month, day, hour, minute, second = found.groups()
+            time = f"{hour or 0:>02}:{minute or 0:>02}:{second or 0:>02}"
+            try:
+                return datetime.fromisoformat(f"{year}-{month}-{day}T{time}+00:00")
+            except ValueError:
+                continue
+    return None
+
+
+def log_date(
+    path: Path, recording: Recording, given: datetime | None, in_sheet: datetime | None
+) -> tuple[datetime, DateSource]:
+    """Return when a log began: as given, in its sheet, by its time stamps, or in its name.
+
+    Raises
+    ------
+    RecordingError
+        If nothing says when.
+    """
+    if given is not None:
+        return given, "given"
+    if in_sheet is not None:
+        return in_utc(in_sheet), "sheet"
+    if EARLIEST.timestamp() < recording.started < LATEST.timestamp():
+        began = recording.started + float(recording.t[0])
+        return datetime.fromtimestamp(round(began, 3), UTC), "stamps"
+    named = date_in_name(path)
+    if named is not None:
+        return named, "name"
+    clock = "its time stamps count from no date"
+    if recording.started:
+        clock = f"its clock reads {recording.started:.6g} s, which is no date after 2000"
+    raise RecordingError(
+        f"{path} has no date: {clock}, and its name holds none such as 2026-03-01",
+        cure=Cure("give the date, here or as date = ... in a recording sheet", {"date": "DATE"}),
+        file=str(path),
+    )

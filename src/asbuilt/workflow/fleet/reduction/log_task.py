@@ -1,0 +1,301 @@
+"""Reduction of one log: the task of a worker, which writes its entry by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import AsbuiltError, RecordingError
+from asbuilt.experiment.logs.long_recordings import (
+    HEAD,
+    RecordingStream,
+    head_of,
+    is_long,
+)
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.readers import find_sheet
+from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure, Finding
+from asbuilt.identification.information.rows import LONGEST_BLOCK
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    accumulate_stream,
+)
+from asbuilt.workflow.fleet.ledger.entry import DIGITS, Entry, EntryName
+from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.ledger.merging import merged_blocks
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.reduction.log_source import log_date, source_hash
+from asbuilt.workflow.prepare import prepare
+
+BLOCKS = 16
+"""Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all."""
+STREAMED = 50e6
+"""Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB."""
+OTHER_CUTOFF = 1.5
+"""Ratio of the cutoff that a log calls for to that of its type from which it is named."""
+OTHER_POSITION = 5e-3
+"""Difference of positions [rad or m] of a locked joint from which two logs do not merge."""
+COVARIATES = ("temperature", "temp")
+"""Words in the names of quantities that are kept beside the information."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogTask:
+    """Describe the reduction of one recording of a robot.
+
+    Parameters
+    ----------
+    ledger
+        Folder or URL of the ledger.
+    settings_path
+        Where the ledger keeps the settings of the robot's type.
+    robot_id
+        Identity of the robot.
+    paths
+        Files of the recording.
+    reading
+        How to read them.
+    date
+        When it was recorded, if that is given.
+    checked
+        Refuse a recording in which `check_recording` finds errors.
+    """
+
+    ledger: str
+    settings_path: str
+    robot_id: str
+    paths: tuple[Path, ...]
+    reading: ReadingOptions
+    date: datetime | None = None
+    checked: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class LogReport:
+    """Hold what became of a log: an entry was added, was there already, or `problem` says why not.
+
+    `cure` is what to do about a problem.
+    """
+
+    log: str
+    robot_id: str
+    entry: EntryName | None = None
+    added: bool = False
+    n_samples: int = 0
+    seconds: float = 0.0
+    problem: str | None = None
+    cure: Cure | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+def reduce_log(task: LogTask) -> LogReport:
+    """Reduce a recording and append its entry, unless it is in the ledger already."""
+    log = str(task.paths[0])
+    try:
+        ledger, settings = _opened(task.ledger), _settings(task.ledger, task.settings_path)
+        digest = source_hash(task.paths)
+        known = ledger.names(task.robot_id)
+        for name in known:
+            same = name.source == digest[:DIGITS] and name.settings == settings.digest
+            if same and ledger.is_sound(name):
+                return LogReport(log, task.robot_id, name)
+        _check_type(ledger, settings, task.robot_id, known)
+        entry, findings = reduced_entry(task, settings, digest)
+        name = ledger.append(entry)
+    except AsbuiltError as problem:
+        return LogReport(log, task.robot_id, problem=problem.message, cure=problem.cure)
+    except (OSError, MemoryError) as problem:
+        return LogReport(log, task.robot_id, problem=f"{type(problem).__name__}: {problem}")
+    return LogReport(
+        log,
+        task.robot_id,
+        name,
+        added=True,
+        n_samples=entry.information.n_samples,
+        seconds=entry.duration,
+        findings=findings,
+    )
+
+
+def reduced_entry(
+    task: LogTask, settings: TypeSettings, digest: str
+) -> tuple[Entry, tuple[Finding, ...]]:
+    """Return the entry of a recording, and what is to be said of it.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, does not fit the type, has errors or no date.
+    """
+    first = task.paths[0]
+    model, logged = _read(task, settings)
+    head = head_of(logged)
+    _check_fits(first, model, head, settings)
+    began, date_from = log_date(
+        first, head, task.date, find_sheet(first, task.reading.sheet)[0].date
+    )
+    beginning = head.taken(slice(0, HEAD)) if head.n_samples > HEAD else head
+    codes = _checked(settings, beginning) if task.checked else ()
+    prepared = prepare(settings.model, [logged], chain=settings.chain, checked=False)
+    samples = prepared.training[0]
+    information = reduced_samples(settings, samples)
+    entry = Entry(
+        robot_id=task.robot_id,
+        settings=settings,
+        information=information,
+        log=first.name,
+        source_sha256=digest,
+        date=began,
+        date_from=date_from,
+        duration=float(samples.t[-1] - samples.t[0]),
+        rate=samples.parallel.output_rate if samples.parallel else samples.rate,
+        covariates=block_covariates(head, information),
+        warnings=codes,
+    )
+    return entry, other_settings(task, settings, beginning)
+
+
+def _read(task: LogTask, settings: TypeSettings) -> tuple[RobotModel, Recording | RecordingStream]:
+    """Return the robot as it was recorded, and the recording; a stream where it is large."""
+    first = task.paths[0]
+    sheet = find_sheet(first, task.reading.sheet)[0]
+    plain = not (sheet.lock or task.reading.lock or sheet.columns.extra)
+    if plain and len(task.paths) == 1 and is_long(first, STREAMED):
+        return settings.model, RecordingStream(first, settings.model, task.reading)
+    model, (read,) = fitted_recordings(settings.described, (list(task.paths),), task.reading)
+    if isinstance(read[0], Samples):
+        raise RecordingError(f"{first} holds samples, not a recording")
+    return model, read[0]
+
+
+def reduced_samples(settings: TypeSettings, samples: Samples) -> SquareRootInformation:
+    """Return the information of samples in about `BLOCKS` time blocks or fewer, by one thread."""
+    seconds = samples.duration / BLOCKS
+    information = accumulate_stream(
+        settings.model,
+        settings.base,
+        (samples,),
+        block_seconds=seconds if seconds > LONGEST_BLOCK else None,
+        threads=1,
+    )
+    return merged_blocks(information, 2 * BLOCKS)
+
+
+def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tuple[Finding, ...]:
+    """Return findings if a log alone would have led to other settings than its type has."""
+    if settings.asked_chain.cutoff is not None or settings.chain.cutoff is None:
+        return ()
+    wanted = resolve_chain(settings.asked_chain, head).cutoff or 0.0
+    ratio = wanted / settings.chain.cutoff
+    if 1.0 / OTHER_CUTOFF < ratio < OTHER_CUTOFF:
+        return ()
+    return (
+        Finding(
+            "ledger_settings_differ",
+            "warning",
+            f"{task.paths[0]} alone calls for a cutoff of {wanted:.3g} Hz; all logs of"
+            f" {settings.model.name} are filtered at {settings.chain.cutoff:.3g} Hz, chosen from"
+            " the first one",
+            Cure(
+                "rebuild the ledger from all logs, which then choose together",
+                call="rebuild_ledger",
+            ),
+        ),
+    )
+
+
+def block_covariates(head: Recording, information: SquareRootInformation) -> dict[str, Array]:
+    """Return the mean of logged temperatures in each block (n_blocks, n), by name.
+
+    A recording sheet names them; one column for all joints is repeated for each.
+    """
+    found = {}
+    n = information.n_joints
+    for name, values in head.extra.items():
+        columns = values.reshape(len(head.t), -1)
+        if columns.shape[1] != n or not any(word in name.lower() for word in COVARIATES):
+            continue
+        means = np.full((information.n_blocks, n), np.nan)
+        for b, block in enumerate(information.blocks):
+            inside = columns[(head.t >= block.start) & (head.t <= block.stop)]
+            if len(inside) and np.all(np.isfinite(inside)):
+                means[b] = inside.mean(axis=0)
+        found[name] = means
+    return found
+
+
+def _checked(settings: TypeSettings, beginning: Recording) -> tuple[str, ...]:
+    """Return the codes of warnings of a recording; raise `RecordingError` if it has errors."""
+    check = check_recording(settings.model, beginning)
+    check.raise_errors(but=())
+    return tuple(dict.fromkeys(found.code for found in check.warnings))
+
+
+@lru_cache(maxsize=4)
+def _opened(root: str) -> Ledger:
+    return open_ledger(root)
+
+
+@lru_cache(maxsize=16)
+def _settings(root: str, path: str) -> TypeSettings:
+    return TypeSettings.from_content(_opened(root).store.read(path), path)
+
+
+def _check_type(
+    ledger: Ledger, settings: TypeSettings, robot_id: str, known: Sequence[EntryName]
+) -> None:
+    """Raise `RecordingError` if the ledger has a robot of another type under this identity."""
+    others = {name.settings for name in known} - {settings.digest}
+    if not others:
+        return
+    types = {each.digest: each for each in ledger.all_settings()}
+    for digest in sorted(others & types.keys()):
+        other = types[digest]
+        if other.robot_type != settings.robot_type:
+            raise RecordingError(
+                f"{robot_id} is a {other.model.name} ({other.robot_type}) in the ledger, not a"
+                f" {settings.model.name} ({settings.robot_type})",
+                cure=Cure("give each robot an identity of its own", {"id": "ID"}),
+            )
+
+
+def _check_fits(path: Path, model: RobotModel, head: Recording, settings: TypeSettings) -> None:
+    """Raise `RecordingError` if a log has other joints or another torque than its type."""
+    if model.joint_names != settings.model.joint_names:
+        raise RecordingError(
+            f"{path} has the joints {', '.join(model.joint_names)}; the logs of"
+            f" {settings.robot_type} have {', '.join(settings.model.joint_names)}",
+            cure=Cure("add it to another ledger, or lock the joints that are not logged"),
+            file=str(path),
+        )
+    for joint, held in settings.model.locked_joints.items():
+        here = model.locked_joints.get(joint, held)
+        if abs(here - held) > OTHER_POSITION:
+            raise RecordingError(
+                f"{path} was recorded with {joint} at {here:.4g}; the logs of"
+                f" {settings.robot_type} have it at {held:.4g}",
+                cure=Cure("add it to another ledger"),
+                file=str(path),
+            )
+    if head.torque_source != settings.torque_source:
+        raise RecordingError(
+            f"{path} has torques from {head.torque_source}; the logs of {settings.robot_type} have"
+            f" them from {settings.torque_source}",
+            cure=Cure(
+                "state the torque source if it is unknown, or add the log to another ledger",
+                {"torque_source": settings.torque_source},
+            ),
+            file=str(path),
+        )

@@ -1,0 +1,175 @@
+"""A ledger made anew from its logs, with settings chosen from many of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from asbuilt.executor import Workers, open_workers
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.findings import Cure
+from asbuilt.workflow.fleet.ledger.entry import DIGITS, EntryName
+from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.reduction.add import (
+    Addition,
+    FleetOptions,
+    conclude_addition,
+    recordings_of,
+    run_tasks,
+    who,
+)
+from asbuilt.workflow.fleet.reduction.first_settings import choose_settings
+from asbuilt.workflow.fleet.reduction.log_source import source_hash
+from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.prepare import Progress
+
+CHOSEN_FROM = 8
+"""Logs of a type, evenly spread, from which the new settings are chosen."""
+
+
+def rebuild_ledger(
+    ledger: str | Path,
+    logs: Sequence[str | Path],
+    *,
+    reading: ReadingOptions | None = None,
+    options: StudyOptions | None = None,
+    fleet: FleetOptions | None = None,
+    progress: Progress | None = None,
+) -> Addition:
+    """Reduce logs of a ledger again, each type with settings chosen from several of its logs.
+
+    The entries of the old settings stay valid until all logs are reduced, and remain in the folder.
+    Logs of a type that are not given are left out of the ledger from then on, which `fleet_show`
+    names.
+
+    Parameters
+    ----------
+    ledger
+        Folder or URL.
+    logs
+        Files that were added to the ledger; robot and date of each are known by its content.
+    reading
+        How to read the logs.
+    options
+        What is not left open; `drive`, `chain` and `checked` count. None: what was left open before
+        is chosen again.
+    fleet
+        Who does the work.
+    progress
+        Called with what is done and the fraction.
+
+    Returns
+    -------
+    Addition
+        What was added and failed, and findings.
+
+    Raises
+    ------
+    UsageError
+        If there is no ledger, or no log is given.
+    RecordingError
+        If the logs from which settings are chosen cannot be used.
+    """
+    began = time.monotonic()
+    reading, options = reading or ReadingOptions(), options or StudyOptions()
+    opened, renewed = open_ledger(str(ledger)), []
+    types = opened.types()
+    with open_workers(*who(fleet)) as workers:
+        by_type, reports = _by_type(opened, types, workers, recordings_of(logs))
+        for robot_type, items in sorted(by_type.items()):
+            settings = _renewed(types[robot_type], items, reading, options)
+            renewed.append(settings)
+            pending = f"pending/{settings.path.rpartition('/')[2]}"
+            opened.store.write(pending, settings.content)
+            tasks = (
+                LogTask(
+                    ledger=opened.root,
+                    settings_path=pending,
+                    robot_id=name.robot_id,
+                    paths=files,
+                    reading=reading,
+                    date=_given_date(opened, name),
+                    checked=options.checked,
+                )
+                for files, name in items
+            )
+            reports += run_tasks(workers, tasks, len(items), progress)
+            opened.append_settings(settings)
+        dashboard = workers.dashboard
+    return conclude_addition(
+        opened, tuple(renewed), reports, fixed=True, began=began, dashboard=dashboard
+    )
+
+
+def _by_type(
+    ledger: Ledger,
+    types: dict[str, TypeSettings],
+    workers: Workers,
+    recordings: Sequence[tuple[Path, ...]],
+) -> tuple[dict[str, list[tuple[tuple[Path, ...], EntryName]]], list[LogReport]]:
+    """Return the logs of each type with the entry of each, and reports of those without."""
+    type_of = {each.digest: each.robot_type for each in ledger.all_settings()}
+    entry_of = {
+        name.source: name
+        for robot_id in ledger.robot_ids()
+        for name in ledger.names(robot_id)
+        if name.settings in type_of
+    }
+    found: dict[str, list[tuple[tuple[Path, ...], EntryName]]] = {}
+    failed = []
+    for outcome in workers.run(_hashed, recordings):
+        files, digest = outcome.task, outcome.result
+        name = entry_of.get((digest or "")[:DIGITS])
+        if name is not None and type_of[name.settings] in types:
+            found.setdefault(type_of[name.settings], []).append((files, name))
+            continue
+        problem = outcome.problem or f"{files[0]} is not in the ledger"
+        failed.append(
+            LogReport(str(files[0]), "", problem=problem, cure=Cure("add it", call="add_logs"))
+        )
+    for items in found.values():
+        items.sort()
+    return found, failed
+
+
+def _hashed(files: tuple[Path, ...]) -> str:
+    return source_hash(files)
+
+
+def _renewed(
+    before: TypeSettings,
+    items: Sequence[tuple[tuple[Path, ...], EntryName]],
+    reading: ReadingOptions,
+    options: StudyOptions,
+) -> TypeSettings:
+    """Return the next settings of a type, chosen from logs that are evenly spread over `items`."""
+    picked = np.unique(np.linspace(0, len(items) - 1, CHOSEN_FROM).round().astype(int))
+    asked = replace(
+        options,
+        drive=before.asked_drive if options.drive is None else options.drive,
+        chain=before.asked_chain if options.chain is None else options.chain,
+    )
+    return choose_settings(
+        before.described,
+        [items[k][0] for k in picked.tolist()],
+        reading=reading,
+        options=asked,
+        robot_type=before.robot_type,
+        generation=before.generation + 1,
+    )
+
+
+def _given_date(ledger: Ledger, name: EntryName) -> datetime | None:
+    """Return the date of an entry if it was given, since the log does not say it."""
+    for settings in ledger.all_settings():
+        if settings.digest == name.settings:
+            entry = ledger.read(name, settings)
+            return entry.date if entry is not None and entry.date_from == "given" else None
+    return None

@@ -1,0 +1,1 @@
+"""Study of a log for external torque, contact and fault."""

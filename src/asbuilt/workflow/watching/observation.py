@@ -1,0 +1,146 @@
+"""Logs as the observer takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.logs.recordings import Recorded
+from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.differentiation import central_differences
+from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
+from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.resampling import uniform_segments
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.signal.velocity_choice import compare_velocities
+from asbuilt.findings import Cure
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observer import Observer
+
+FEWEST = 10
+"""Samples of the shortest log."""
+OVERLAP = 1.0
+"""Seconds that chunks of a stream share, so that the observer has forgotten its start."""
+
+
+def logged(recorded: Recorded) -> Recording | RecordingStream:
+    """Return a recording as logged; raises `UsageError` for samples, which are filtered."""
+    if isinstance(recorded, Samples):
+        raise UsageError(
+            "the observer needs a recording as logged; samples are filtered with zero phase",
+            cure=Cure("give the recording that the samples were made from"),
+        )
+    return recorded
+
+
+def check_joints(result: IdentificationResult, recorded: Recording | RecordingStream) -> None:
+    """Raise `RecordingError` for a log of other joints, or without measured torque."""
+    head, names = head_of(recorded), result.model.joint_names
+    if head.joint_names != names:
+        raise RecordingError(
+            f"{recorded.source} has the joints {', '.join(head.joint_names)}; the result is of"
+            f" {result.robot} with {', '.join(names)}",
+            cure=Cure("give a log of the robot that was identified"),
+            file=recorded.source,
+            value=list(head.joint_names),
+            expected=list(names),
+        )
+    if head.torque_source == "command":
+        raise RecordingError(
+            f"{recorded.source} has no measured torque, only commands of a position servo, from"
+            " which external torque does not follow",
+            cure=Cure("give a log with torque or current"),
+            file=recorded.source,
+        )
+
+
+def check_log(result: IdentificationResult, recorded: Recording | RecordingStream) -> None:
+    """Raise `RecordingError` for a log of a wrong clock, unit or sign."""
+    check_recording(result.model, head_of(recorded)).raise_errors(but=TOO_LITTLE)
+
+
+def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
+    """Whether velocities are logged and agree with the derivative of positions."""
+    head = head_of(recorded)
+    if head.qd is None:
+        return False
+    cutoff = resolve_chain(SignalChain(), head).cutoff or 0.0
+    segments, rate, _ = uniform_segments(head)
+    pairs = []
+    for segment in segments:
+        if segment.qd is None:
+            return False
+        if segment.t.size > 2 * settling_samples(cutoff, rate):
+            derived = central_differences(segment.q, rate)
+            smooth, logged = (
+                butterworth(x, cutoff=cutoff, rate=rate) for x in (derived, segment.qd)
+            )
+            pairs.append((smooth, logged, derived, segment.qd))
+    return bool(pairs) and compare_velocities(pairs, rate).helps
+
+
+def observed_parts(
+    observer: Observer, recorded: Recording | RecordingStream, *, velocities: bool
+) -> Iterator[Observed]:
+    """Yield what the observer makes of a log, in one part or, for a stream, in several."""
+    if isinstance(recorded, Recording):
+        yield _observed(observer, recorded, velocities=velocities)
+        return
+    end, tail = -np.inf, None
+    for chunk in recorded:
+        whole = chunk if tail is None else _joined(tail, chunk)
+        found = _observed(observer, whole, velocities=velocities)
+        yield found.select(found.t > end) if tail is not None else found
+        end = float(np.nanmax(chunk.t))
+        tail = whole.taken(whole.t > end - OVERLAP)
+
+
+def held_out_part(observed: Observed, rule: str) -> Observed:
+    """Return what a rule of `hold_out` holds out of a log."""
+    since, chosen = observed.t - observed.t[0], parse_rule(rule)
+    if isinstance(chosen, Blocks):
+        block = np.floor(since / chosen.seconds + 1e-9).astype(int)
+        return observed.select(block % chosen.every == chosen.every - 1)
+    return observed.select(since >= (1.0 - chosen.share) * since[-1])
+
+
+def _observed(observer: Observer, recording: Recording, *, velocities: bool) -> Observed:
+    """Observe a recording without rows that are not finite or whose time does not advance."""
+    columns = [recording.q, recording.tau]
+    if velocities and recording.qd is not None:
+        columns.append(recording.qd)
+    kept = np.isfinite(recording.t) & np.all(np.isfinite(np.hstack(columns)), axis=1)
+    t = np.where(kept, recording.t, -np.inf)
+    latest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    kept &= t > latest
+    if kept.sum() < FEWEST:
+        raise RecordingError(
+            f"{recording.source}: {int(kept.sum())} valid samples are too few to watch; at least"
+            f" {FEWEST} are needed",
+            file=recording.source,
+            value=int(kept.sum()),
+            expected=FEWEST,
+        )
+    q, tau, *qd = (column[kept] for column in columns)
+    return observer.observe(recording.t[kept], q, tau, qd[0] if qd else None)
+
+
+def _joined(first: Recording, second: Recording) -> Recording:
+    """Return two recordings as one, with the columns that the observer needs."""
+    both = first.qd is not None and second.qd is not None
+    return Recording(
+        t=np.concatenate([first.t, second.t]),
+        q=np.concatenate([first.q, second.q]),
+        tau=np.concatenate([first.tau, second.tau]),
+        qd=np.concatenate([first.qd, second.qd]) if both else None,
+        joint_names=first.joint_names,
+        source=first.source,
+        torque_source=first.torque_source,
+    )

@@ -1,0 +1,57 @@
+"""Options of the study of a log for contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Watched = Literal["as_built", "cad"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchOptions:
+    """Configure `watch`.
+
+    Parameters
+    ----------
+    false_alarms_per_hour
+        Rate of false alarms of the whole robot that the thresholds are set for.
+    bandwidth
+        Bandwidth of the momentum observer [Hz].
+    model
+        Whether the observer has the robot as built or as described.
+    frame
+        Link or frame of the tool, at which forces are given; None: the flange.
+    checked
+        Refuse recordings in which `check_recording` finds errors.
+    """
+
+    false_alarms_per_hour: float = field(
+        default=1.0,
+        metadata={
+            "metavar": "RATE",
+            "help": "false alarms per hour, all joints together, that thresholds are set for",
+        },
+    )
+    bandwidth: float = field(
+        default=8.0,
+        metadata={"metavar": "HZ", "help": "bandwidth of the momentum observer"},
+    )
+    model: Watched = field(
+        default="as_built",
+        metadata={
+            "metavar": "WHICH",
+            "help": "model of the observer: as-built or cad",
+            "choices": {"as-built": "as_built", "cad": "cad"},
+        },
+    )
+    frame: str | None = field(
+        default=None,
+        metadata={
+            "metavar": "NAME",
+            "help": "link or frame of the tool, where forces are given (default: the flange)",
+        },
+    )
+    checked: bool = field(
+        default=True, metadata={"help": "use the recordings whatever their checks find"}
+    )

@@ -1,0 +1,270 @@
+"""A log watched for external torque, contact and fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError, ResultError
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure, Finding, joined, ranked
+from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring.events import Event, find_events, joined_events
+from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observer import Observer
+from asbuilt.monitoring.thresholds import Thresholds, set_thresholds
+from asbuilt.workflow.prepare import Progress, digest
+from asbuilt.workflow.study import Study
+from asbuilt.workflow.watching.observation import (
+    check_joints,
+    check_log,
+    held_out_part,
+    logged,
+    observed_parts,
+    uses_logged_velocities,
+)
+from asbuilt.workflow.watching.options import WatchOptions
+from asbuilt.workflow.watching.watched_log import Trace, WatchedLog, traced
+
+FASTER = 1.2
+"""Factor by which a joint may exceed the speeds that thresholds were set on."""
+
+
+def watch(
+    result: IdentificationResult | Study,
+    recording: RecordingLike,
+    *,
+    calibrate: RecordingLike | Sequence[RecordingLike] | None = None,
+    thresholds: Thresholds | None = None,
+    options: WatchOptions | None = None,
+    progress: Progress | None = None,
+) -> WatchedLog:
+    """Watch a log for external torque, contact and fault, with a stated false-alarm rate.
+
+    A momentum observer (`Observer`) estimates the external torque of every joint; times at which it
+    exceeds thresholds are events. Thresholds are set on recordings without contact; of one that the
+    result was identified from, only what was held out counts, if anything was.
+
+    Parameters
+    ----------
+    result
+        The result, or its study.
+    recording
+        The log, as for `identify`; a long one is read in chunks.
+    calibrate
+        Recordings without contact that set the thresholds. If neither these nor `thresholds` are
+        given, the quieter half of the log itself does, which promises less.
+    thresholds
+        Thresholds set earlier.
+    options
+        How to watch; None: the defaults.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Returns
+    -------
+    WatchedLog
+        Events, thresholds and findings.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording, or it is too short.
+    ResultError
+        If the result has no covariance, and thresholds are to be set.
+    """
+    options, report = options or WatchOptions(), progress or (lambda what, fraction: None)
+    result = result.result if isinstance(result, Study) else result
+    payload_frame(result.model, options.frame)
+    log = logged(_single(result, recording))
+    quiet = [logged(each) for each in as_recordings(result.model, calibrate or [])]
+    if thresholds is None:
+        _check_covariance(result)
+    for each in (log, *quiet):
+        check_joints(result, each)
+    if options.checked:
+        report("check", 0.0)
+        for each in (log, *quiet):
+            check_log(result, each)
+    robot = result if options.model == "as_built" else result.model
+    bandwidth = options.bandwidth if thresholds is None else thresholds.bandwidth
+    observer = Observer(robot, bandwidth=bandwidth, thresholds=thresholds)
+    measured = (
+        all(uses_logged_velocities(each) for each in (log, *quiet))
+        if thresholds is None
+        else not thresholds.filtered
+    )
+    _check_velocities(log, needed=measured)
+    findings = _velocity_findings(log, measured=measured)
+    if thresholds is None:
+        report("thresholds", 0.0)
+        thresholds, said = _thresholds(result, observer, log, quiet, options, measured=measured)
+        findings += said
+        observer = Observer(robot, thresholds=thresholds)
+    return _watched(result, observer, thresholds, log, options, findings, measured, report)
+
+
+def _single(result: IdentificationResult, recording: RecordingLike) -> Recording | RecordingStream:
+    found = as_recordings(result.model, [recording])
+    return found[0]  # type: ignore[return-value]
+
+
+def _check_covariance(result: IdentificationResult) -> None:
+    if not np.any(np.diag(result.covariance) > 0.0):
+        raise ResultError(
+            f"the result of {result.robot} has no covariance, so thresholds cannot follow the"
+            " uncertainty of its model",
+            cure=Cure("identify again"),
+        )
+
+
+def _check_velocities(log: Recording | RecordingStream, *, needed: bool) -> None:
+    if needed and head_of(log).qd is None:
+        raise RecordingError(
+            f"{log.source} has no velocities, but the thresholds were set with logged ones",
+            cure=Cure("log velocities, or set the thresholds again", {"calibrate": "LOG"}),
+            file=log.source,
+        )
+
+
+def _velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
+    if measured:
+        return []
+    why = "lag behind the positions or are noisy" if head_of(log).qd is not None else "are missing"
+    return [
+        Finding(
+            "velocities_filtered",
+            "info",
+            f"logged velocities {why}; positions and torques go through one causal filter, which"
+            " delays alarms by half of the observer's lag",
+        )
+    ]
+
+
+def _thresholds(
+    result: IdentificationResult,
+    observer: Observer,
+    log: Recording | RecordingStream,
+    quiet: Sequence[Recording | RecordingStream],
+    options: WatchOptions,
+    *,
+    measured: bool,
+) -> tuple[Thresholds, list[Finding]]:
+    parts: list[Observed] = []
+    findings: list[Finding] = []
+    for each in quiet or [log]:
+        trained = digest(head_of(each)) in result.digests
+        whole = list(observed_parts(observer, each, velocities=measured))
+        if trained and result.holdout is not None and quiet:
+            whole = [held_out_part(part, result.holdout) for part in whole]
+        elif trained:
+            findings.append(
+                Finding(
+                    "thresholds_on_training_data",
+                    "warning",
+                    f"{each.source} was used to identify the model, so its residuals are smaller"
+                    " than those of other motions and false alarms will be more frequent",
+                    Cure("give a recording of another motion without contact"),
+                )
+            )
+        parts += whole
+    if not quiet:
+        findings.append(
+            Finding(
+                "thresholds_from_the_log",
+                "warning",
+                "the thresholds follow from the quieter half of this log, so the rate of false"
+                " alarms is not verified",
+                Cure("give a recording without contact", {"calibrate": "LOG"}),
+            )
+        )
+    found = set_thresholds(
+        parts,
+        observer.model_error,
+        observer.model.joint_names,
+        bandwidth=observer.bandwidth,
+        false_alarms_per_hour=options.false_alarms_per_hour,
+        held_out=bool(quiet),
+        filtered=not measured,
+    )
+    if found.hours * 3600.0 < SHORT and quiet:
+        findings.append(
+            Finding(
+                "calibration_short",
+                "warning",
+                f"the thresholds follow from {3600.0 * found.hours:.0f} s without contact; the tail"
+                " of the residual is extrapolated and thresholds are higher than they need be",
+                Cure(f"give recordings of at least {SHORT:.0f} s"),
+            )
+        )
+    return found, findings
+
+
+SHORT = 120.0
+"""Duration [s] below which thresholds are mostly extrapolation."""
+
+
+def _watched(
+    result: IdentificationResult,
+    observer: Observer,
+    thresholds: Thresholds,
+    log: Recording | RecordingStream,
+    options: WatchOptions,
+    findings: list[Finding],
+    measured: bool,
+    report: Callable[[str, float], None],
+) -> WatchedLog:
+    name, link, placement = payload_frame(observer.model, options.frame)
+    events: list[Event] = []
+    traces: list[Trace] = []
+    top, samples, seconds = np.zeros(observer.model.n_joints), 0, 0.0
+    report("observe", 0.0)
+    for observed in observed_parts(observer, log, velocities=measured):
+        scale, limit = thresholds.of_log(observed, observer.model_error)
+        events += find_events(
+            observer, observed, scale, limit, (link, placement), apart=thresholds.block_seconds
+        )
+        traces.append(traced(observed, limit))
+        top = np.maximum(top, np.abs(observed.qd).max(axis=0))
+        samples += len(observed.t)
+        steps = np.diff(observed.t)
+        seconds += float(steps[observed.share[1:] > 0.0].sum())
+    if seconds <= 0.0:
+        raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
+    return WatchedLog(
+        robot=result.robot,
+        source=log.source,
+        model=options.model,
+        frame=name,
+        joint_names=observer.model.joint_names,
+        n_samples=samples,
+        seconds=seconds,
+        thresholds=thresholds,
+        events=joined_events(events, thresholds.block_seconds),
+        findings=ranked([*findings, *_speed_findings(thresholds, top)]),
+        trace=Trace.joined(traces),
+    )
+
+
+def _speed_findings(thresholds: Thresholds, top: Array) -> list[Finding]:
+    faster = np.flatnonzero(top > FASTER * thresholds.top_speed)
+    if not faster.size:
+        return []
+    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
+    names = joined([thresholds.joint_names[k] for k in faster])
+    return [
+        Finding(
+            "faster_than_thresholds",
+            "warning",
+            f"{names}: up to {top[worst]:.3g} rad/s or m/s in this log,"
+            f" {thresholds.top_speed[worst]:.3g} where the thresholds were set; false alarms may be"
+            " more frequent",
+            Cure("set the thresholds on motions as fast as those that are watched"),
+            joint=thresholds.joint_names[worst],
+        )
+    ]

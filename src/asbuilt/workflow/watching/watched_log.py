@@ -1,0 +1,206 @@
+"""What was found in a log: events, thresholds, findings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.codec import plain
+from asbuilt.findings import Finding
+from asbuilt.monitoring.events import Event
+from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.thresholds import Thresholds
+from asbuilt.tables import Column, Shown, Table, plus_minus, shortened, significant, wrapped
+
+ELSEWHERE = 1e-3
+"""Probability of the fit below which a force at the tool does not explain the torques."""
+POINTS = 3000
+"""Points of a trace, of each chunk of a log."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """Hold residual and threshold for drawing: in each bin the sample with the largest excess.
+
+    `t` (B, n) [s], `residual` and `limit` (B, n).
+    """
+
+    t: Array
+    residual: Array
+    limit: Array
+
+    @classmethod
+    def joined(cls, traces: Sequence[Trace]) -> Trace:
+        """Return traces one after another."""
+        return cls(
+            np.concatenate([each.t for each in traces]),
+            np.concatenate([each.residual for each in traces]),
+            np.concatenate([each.limit for each in traces]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchedLog:
+    """Hold what was found in a log.
+
+    Parameters
+    ----------
+    robot, source, joint_names
+        The robot, the log and its n joints.
+    model
+        `"as_built"` or `"cad"`: the model of the observer.
+    frame
+        Link or frame at which forces are given.
+    n_samples, seconds
+        Size of the log, gaps left out.
+    thresholds, events, findings
+        The thresholds, and what was found.
+    trace
+        Residual and threshold for drawing.
+    """
+
+    robot: str
+    source: str
+    model: str
+    frame: str
+    joint_names: tuple[str, ...]
+    n_samples: int
+    seconds: float
+    thresholds: Thresholds
+    events: tuple[Event, ...]
+    findings: tuple[Finding, ...]
+    trace: Trace
+
+    def as_document(self) -> dict[str, Any]:
+        """Return plain numbers, texts and lists, for JSON."""
+        thresholds = self.thresholds
+        return {
+            "robot": self.robot,
+            "source": self.source,
+            "model": self.model,
+            "frame": self.frame,
+            "joints": list(self.joint_names),
+            "n_samples": self.n_samples,
+            "seconds": self.seconds,
+            "bandwidth": thresholds.bandwidth,
+            "false_alarms_per_hour": thresholds.false_alarms_per_hour,
+            "expected_false_alarms": thresholds.false_alarms_per_hour * self.seconds / 3600.0,
+            "rate_verified": thresholds.held_out,
+            "events": [event.as_document() for event in self.events],
+            "thresholds": plain(thresholds),
+            "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
+        }
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return log, thresholds and verdict as sentences."""
+        thresholds = self.thresholds
+        rate = thresholds.false_alarms_per_hour
+        expected = rate * self.seconds / 3600.0
+        model = "as built" if self.model == "as_built" else "as described (CAD)"
+        kinds = [event.kind for event in self.events]
+        counts = ", ".join(
+            f"{kinds.count(kind)} {name}"
+            for kind, name in (
+                ("contact", "contact" if kinds.count("contact") == 1 else "contacts"),
+                ("fault", "fault of one joint" if kinds.count("fault") == 1 else "faults"),
+                ("payload", "change of payload" if kinds.count("payload") == 1 else "payloads"),
+            )
+            if kind in kinds
+        )
+        return (
+            f"{self.robot}, {shortened(self.source, 60)}: {self.n_samples} samples,"
+            f" {_span(self.seconds)}, watched with the model {model}.",
+            f"Thresholds for {rate:g} false alarm{'s' * (rate != 1.0)} per hour"
+            f" ({significant(expected, 2)} expected in this log), from"
+            f" {_span(3600.0 * thresholds.hours)}"
+            + (" without contact." if thresholds.held_out else " of this log itself."),
+            f"Events: {counts or 'none'}.",
+        )
+
+    def table(self) -> Table:
+        """Return the events, one a row."""
+        columns = (
+            Column("start", "s", "decimal"),
+            Column("lasts", "s", "decimal"),
+            Column("what", width=8),
+            Column("at or beyond", width=14),
+            Column("joint", width=13),
+            Column("torque", align="decimal"),
+            Column("limit", align="decimal"),
+            Column("force", "N", width=16),
+            Column("x", "N", detail=True),
+            Column("y", "N", detail=True),
+            Column("z", "N", detail=True),
+            Column("p", style=".2g", detail=True),
+        )
+        return Table(
+            columns,
+            tuple(self._row(event) for event in self.events),
+            notes=(
+                f"Torque and limit [N m or N] of the joint farthest beyond its threshold; force"
+                f" on the robot if it acts at {self.frame}, +/- standard error. A contact acts"
+                " at the link named or beyond it.",
+            ),
+            details=(
+                "x, y, z: the force in root axes; p: probability of a worse fit if it acts at"
+                f" {self.frame} and there alone.",
+            ),
+        )
+
+    def as_text(self, full: bool = False) -> str:
+        """Return findings and events for a terminal of 80 columns."""
+        parts = [wrapped(line) for line in self.sentences()]
+        if self.events:
+            parts += ["", self.table().as_text(full).rstrip("\n")]
+        return "\n".join(parts) + "\n"
+
+    def _row(self, event: Event) -> tuple[Any, ...]:
+        ratio = np.abs(event.residual) / event.threshold
+        k = int(np.argmax(ratio))
+        force, errors = event.contact.force, event.contact.force_error
+        size = float(np.linalg.norm(force))
+        along = force / size if size > 0.0 else np.zeros(3)
+        error = float(np.sqrt(np.sum((along * errors) ** 2)))
+        shown = plus_minus(size, error)
+        if event.kind == "fault":
+            shown = ""
+        elif event.contact.p_value < ELSEWHERE:
+            shown = "not at the tool"
+        if event.mass is not None:
+            shown = f"{plus_minus(event.mass, event.mass_error)} kg"
+        return (
+            Shown(event.start, f"{event.start:.2f}"),
+            Shown(event.duration, f"{event.duration:.2f}"),
+            event.kind,
+            event.link,
+            self.joint_names[k],
+            Shown(float(event.residual[k]), significant(float(event.residual[k]))),
+            Shown(float(event.threshold[k]), significant(float(event.threshold[k]))),
+            shown,
+            *(plus_minus(float(f), float(e)) for f, e in zip(force, errors, strict=True)),
+            event.contact.p_value,
+        )
+
+
+def traced(observed: Observed, limit: Array) -> Trace:
+    """Return the samples of largest excess of at most `POINTS` bins, joint by joint."""
+    n = observed.residual.shape[1]
+    starts = np.unique(np.linspace(0, len(observed.t), POINTS + 1).astype(int)[:-1])
+    ratio = np.abs(observed.residual) / limit
+    edges = np.append(starts, len(ratio))
+    rows = np.empty((len(starts), n), dtype=np.int64)
+    for k, (a, b) in enumerate(pairwise(edges.tolist())):
+        rows[k] = a + np.argmax(ratio[a:b], axis=0)
+    columns = np.arange(n)
+    return Trace(observed.t[rows], observed.residual[rows, columns], limit[rows, columns])
+
+
+def _span(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"

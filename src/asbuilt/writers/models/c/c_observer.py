@@ -1,0 +1,193 @@
+"""Momentum observer and its thresholds as C99, on top of the functions of `c_code`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.monitoring.observer import BANDWIDTH, LONGEST_STEP
+from asbuilt.monitoring.thresholds import Thresholds
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverCode:
+    """Hold what comes into the header and into the source of a robot's C code."""
+
+    header: str
+    source: str
+
+
+def observer_code(
+    name: str,
+    n: int,
+    *,
+    bandwidth: float = BANDWIDTH,
+    thresholds: Thresholds | None = None,
+    factor: Array | None = None,
+) -> ObserverCode:
+    """Return the observer of n joints, all names beginning with `name`.
+
+    Parameters
+    ----------
+    name
+        Prefix of the functions of the robot.
+    n
+        Number of joints.
+    bandwidth
+        Bandwidth of the observer [Hz]; that of the thresholds if there are any.
+    thresholds, factor
+        Limits of the residual, and L (p, k) with `L L^T` the covariance of the base parameters.
+    """
+    width = bandwidth if thresholds is None else thresholds.bandwidth
+    limits = thresholds is not None
+    state = f"const double q[{n}], const double qd[{n}]"
+    slow = f"    double slowness[{n}];     /* lagged nearness to standstill, 0 to 1 */\n"
+    header = f"""
+/*
+ * Momentum observer (De Luca and Mattone, 2005) of bandwidth {width!r} Hz. Call the update once a
+ * sample with the time [s] since the last one; the residual is the external torque of every joint
+ * behind a first-order lag. After restart, and after more than {LONGEST_STEP!r} s, it starts at 0.
+ * Velocities must not lag behind positions and torques.
+ */
+typedef struct {{
+    double residual[{n}];     /* external torque [N m or N] */
+    double momentum[{n}];
+    double torque[{n}];
+    double velocity[{n}];
+    double acceleration[{n}]; /* lagged */
+{slow if limits else ""}    int started;
+}} {name}_observer;
+
+void {name}_observer_restart({name}_observer *observer);
+
+void {name}_observer_update({name}_observer *observer, double dt, {state},
+    const double tau[{n}]);
+"""
+    source = _update(name, n, width, thresholds)
+    if thresholds is not None:
+        header += _threshold_header(name, n, thresholds)
+        source += _threshold_source(
+            name, n, thresholds, np.zeros((0, 0)) if factor is None else factor
+        )
+    return ObserverCode(header, source)
+
+
+def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> str:
+    slow_start, slow = "", ""
+    if thresholds is not None:
+        slow_start = "        observer->slowness[j] = 0.0;\n"
+        slow = """            double least = fmin(fabs(observer->velocity[j]), fabs(qd[j]));
+            if (observer->velocity[j]*qd[j] < 0.0) least = 0.0;
+            least /= slow_speed[j];
+            observer->slowness[j] += share*(exp(-least*least) - observer->slowness[j]);
+"""
+    tables = "" if thresholds is None else _table("slow_speed", thresholds.slow_speed) + "\n"
+    return f"""{tables}void {name}_observer_restart({name}_observer *observer)
+{{
+    for (int j = 0; j < {n}; j++) {{
+        observer->residual[j] = 0.0;
+        observer->momentum[j] = 0.0;
+        observer->torque[j] = 0.0;
+        observer->velocity[j] = 0.0;
+        observer->acceleration[j] = 0.0;
+{slow_start}    }}
+    observer->started = 0;
+}}
+
+void {name}_observer_update({name}_observer *observer, double dt, const double q[{n}],
+    const double qd[{n}], const double tau[{n}])
+{{
+    double momentum[{n}], gradient[{n}], gravity[{n}], friction[{n}];
+    if (!(dt > 0.0 && dt <= {LONGEST_STEP!r})) {name}_observer_restart(observer);
+    {name}_momentum(q, qd, momentum, gradient);
+    {name}_gravity_torque(q, gravity);
+    {name}_friction(q, qd, friction);
+    const double share = -expm1(-{2.0 * np.pi * width!r}*dt);
+    for (int j = 0; j < {n}; j++) {{
+        const double torque = tau[j] + (gradient[j] - gravity[j] - friction[j]);
+        if (observer->started) {{
+            const double external = (momentum[j] - observer->momentum[j])/dt
+                - 0.5*(torque + observer->torque[j]);
+            const double rate = (qd[j] - observer->velocity[j])/dt;
+            observer->residual[j] += share*(external - observer->residual[j]);
+            observer->acceleration[j] += share*(rate - observer->acceleration[j]);
+{slow}        }}
+        observer->momentum[j] = momentum[j];
+        observer->torque[j] = torque;
+        observer->velocity[j] = qd[j];
+    }}
+    observer->started = 1;
+}}"""
+
+
+def _threshold_header(name: str, n: int, thresholds: Thresholds) -> str:
+    rate = thresholds.false_alarms_per_hour
+    return f"""
+/*
+ * Thresholds for {rate:g} false alarms per hour, all joints together, in motions like the
+ * {3600.0 * thresholds.hours:.0f} s that they were set on: level times the scale of the errors at
+ * this speed and pose, the covariance of the parameters included. q is that of the last update.
+ */
+void {name}_observer_threshold(const {name}_observer *observer, const double q[{n}],
+    double threshold[{n}]);
+
+/* Joints beyond their thresholds: bit j for joint j, 0 for none. */
+unsigned {name}_observer_alarms(const {name}_observer *observer, const double threshold[{n}]);
+"""
+
+
+def _threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) -> str:
+    p, k = factor.shape
+    parts = {
+        "level": thresholds.level,
+        "floor_square": thresholds.floor**2,
+        "slow_square": thresholds.slow_part**2,
+        "fast": thresholds.fast,
+    }
+    tables = "\n".join(_table(key, values) for key, values in parts.items())
+    spread = ""
+    if k:
+        tables += "\n" + _table("factor", factor.ravel())
+        spread = f"""        for (int c = 0; c < {k}; c++) {{
+            double sum = 0.0;
+            for (int b = 0; b < {p}; b++) sum += Y[j*{p} + b]*factor[b*{k} + c];
+            square += sum*sum;
+        }}
+"""
+    regressor = (
+        f"    double Y[{n * p}];\n    {name}_regressor(q, observer->velocity,"
+        " observer->acceleration, Y);\n"
+        if k
+        else "    (void)q;\n"
+    )
+    return f"""
+
+{tables}
+
+void {name}_observer_threshold(const {name}_observer *observer, const double q[{n}],
+    double threshold[{n}])
+{{
+{regressor}    for (int j = 0; j < {n}; j++) {{
+        const double speed = fast[j]*observer->velocity[j];
+        double square = floor_square[j] + slow_square[j]*observer->slowness[j] + speed*speed;
+{spread}        threshold[j] = level[j]*sqrt(square);
+    }}
+}}
+
+unsigned {name}_observer_alarms(const {name}_observer *observer, const double threshold[{n}])
+{{
+    unsigned alarms = 0;
+    for (int j = 0; j < {n}; j++)
+        if (!(fabs(observer->residual[j]) <= threshold[j])) alarms |= 1u << j;
+    return alarms;
+}}"""
+
+
+def _table(name: str, values: Sequence[float] | Array) -> str:
+    numbers = [repr(float(value) + 0.0) for value in values]
+    rows = [", ".join(numbers[k : k + 3]) for k in range(0, len(numbers), 3)]
+    body = ",\n".join(f"    {row}" for row in rows)
+    return f"static const double {name}[{len(numbers)}] = {{\n{body}\n}};\n"

@@ -1,0 +1,63 @@
+"""Files of a watched log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from asbuilt.codec import json_text
+from asbuilt.workflow.watching.threshold_files import thresholds_text
+from asbuilt.workflow.watching.watched_log import WatchedLog
+from asbuilt.writers.figures.figure_style import figure_address, save_figure
+from asbuilt.writers.figures.watch_figure import watch_figure
+from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.reports.page import page, table_markup
+from asbuilt.writers.reports.report_verdict import Card
+
+
+def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
+    """Write events.json, events.csv, watch.html, watch.png and thresholds.json.
+
+    Returns the paths by kind.
+    """
+    return {
+        "events": atomic_write(folder / "events.json", json_text(watched.as_document())),
+        "table": atomic_write(folder / "events.csv", watched.table().as_csv()),
+        "report": atomic_write(folder / "watch.html", watch_html(watched)),
+        "figure": save_figure(watch_figure(watched), folder / "watch.png"),
+        "thresholds": atomic_write(folder / "thresholds.json", thresholds_text(watched.thresholds)),
+    }
+
+
+def watch_document(watched: WatchedLog, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return the JSON document of a watched log with the paths of what was written."""
+    return {**watched.as_document(), "files": path_texts(files)}
+
+
+def watch_html(watched: WatchedLog) -> str:
+    """Return the page of a watched log as text."""
+    events = watched.events
+    rate = watched.thresholds.false_alarms_per_hour
+    cards = [
+        Card("neutral" if events else "good", str(len(events)), "events"),
+        Card(
+            "good" if watched.thresholds.held_out else "neutral",
+            f"{rate:g} per hour",
+            "false alarms that the thresholds are set for",
+        ),
+    ]
+    return page(
+        "watch.html.j2",
+        title=f"{watched.robot}: {watched.source}",
+        heading=watched.robot,
+        subject=watched.source,
+        subtitle="",
+        contents=[("verdict", "Verdict"), ("torque", "External torque")]
+        + ([("events", "Events")] if events else []),
+        cards=cards,
+        sentences=watched.sentences(),
+        findings=[each.text for each in watched.findings],
+        image=figure_address(watch_figure(watched)),
+        events_table=table_markup(watched.table(), "events-table") if events else "",
+    )

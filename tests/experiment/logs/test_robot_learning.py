@@ -1,0 +1,182 @@
+"""Logs of robot learning: archives of PyTorch, folders of SAGE and LeRobot."""
+
+import io
+import json
+import pickle
+import zipfile
+from collections import OrderedDict
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import polars as pl
+import pytest
+
+from asbuilt.description.load import load_robot
+from asbuilt.errors import DescriptionError, RecordingError
+from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.logs.recordings import fitted_recordings
+
+SHARED = Path(__file__).parents[3].parent / "shared"
+
+
+class FloatStorage:
+    """Storage under the name that PyTorch gives it."""
+
+
+def rebuild(*arguments):
+    raise AssertionError("not called here")
+
+
+class Tensor:
+    def __init__(self, key, array):
+        self.key, self.array = key, array
+
+    def __reduce__(self):
+        strides = tuple(step // self.array.itemsize for step in self.array.strides)
+        storage = Stored(self.key, self.array.size)
+        return rebuild, (storage, 0, self.array.shape, strides, False, OrderedDict())
+
+
+class Stored:
+    def __init__(self, key, size):
+        self.pid = ("storage", FloatStorage, key, "cpu", size)
+
+
+FloatStorage.__module__, FloatStorage.__qualname__ = "torch", "FloatStorage"
+rebuild.__module__, rebuild.__qualname__ = "torch._utils", "_rebuild_tensor_v2"
+
+
+class Pickler(pickle._Pickler):
+    """Write what torch.save writes, without looking the names up."""
+
+    def persistent_id(self, item):
+        return item.pid if isinstance(item, Stored) else None
+
+    def save_global(self, item, name=None):
+        self.write(b"c" + f"{item.__module__}\n{item.__qualname__}\n".encode())
+        self.memoize(item)
+
+    dispatch: ClassVar = {**pickle._Pickler.dispatch, type(rebuild): save_global, type: save_global}
+
+
+def archive(path, content, arrays):
+    text = io.BytesIO()
+    Pickler(text, protocol=2).dump(content)
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("log/data.pkl", text.getvalue())
+        file.writestr("log/byteorder", "little")
+        for key, array in arrays.items():
+            file.writestr(f"log/data/{key}", array.astype("<f4").tobytes())
+    return path
+
+
+def test_tensors_are_read_without_pytorch(tmp_path):
+    t = np.arange(50, dtype="f4") * 0.01
+    q = np.random.default_rng(1).normal(size=(50, 2)).astype("f4")
+    arrays = {"0": t, "1": q, "2": q + 1}
+    content = {
+        "time": Tensor("0", t),
+        "dof_pos": Tensor("1", q),
+        "des_dof_pos": Tensor("2", q),
+    }
+    path = archive(tmp_path / "log.pt", content, arrays)
+    recording = read_recording(path, kp=2.0, kd=0.0)
+    assert recording.q == pytest.approx(q)
+    assert recording.command == pytest.approx(q + 1)
+    assert recording.torque_source == "command"
+    assert recording.servo.kp == (2.0, 2.0)
+
+
+class Harmful:
+    def __reduce__(self):
+        return print, ("executed",)
+
+
+def test_code_in_an_archive_is_refused_not_executed(tmp_path, capfd):
+    with zipfile.ZipFile(tmp_path / "bad.pt", "w") as file:
+        file.writestr("log/data.pkl", pickle.dumps({"time": Harmful()}))
+    with pytest.raises(RecordingError, match="not read for safety"):
+        read_recording(tmp_path / "bad.pt")
+    assert "executed" not in capfd.readouterr().out
+
+
+def sage(folder, n=20):
+    folder.mkdir()
+    (folder / "joint_list.txt").write_text("One\nTwo\n")
+    rows = [(20000.0 * k, [0.1 * k, -0.1 * k]) for k in range(n)]
+    states = "\n".join(f'STATE_MOTOR,{t},"{x}","{x}","[0.5, 0.5]"' for t, x in rows)
+    commands = "\n".join(f'CONTROL,{t - 1},"{[v + 1 for v in x]}"' for t, x in rows[::2])
+    head = "type,timestamp,positions,velocities,torques\n"
+    (folder / "state_motor.csv").write_text(head + states + "\n")
+    (folder / "control.csv").write_text(f"type,timestamp,positions\n{commands}\n")
+    return folder
+
+
+def test_a_sage_folder_is_read_with_the_last_command_before_each_state(tmp_path):
+    recording = read_recording(sage(tmp_path / "motion"), torque_source="command")
+    assert recording.joint_names == ("One", "Two")
+    assert recording.rate == pytest.approx(50.0)
+    assert recording.q[3] == pytest.approx([0.3, -0.3])
+    assert recording.command[3] == pytest.approx([1.2, 0.8])
+    assert np.isnan(recording.servo.kp).all()
+
+
+def test_joints_of_other_names_are_given_in_a_sheet(tmp_path):
+    folder, model = sage(tmp_path / "motion"), load_robot("two-link")
+    with pytest.raises(RecordingError, match="One, Two"):
+        read_recording(folder, model=model)
+    sheet = {"joints": {"Two": "joint_1", "One": "joint_2"}, "torque_source": "command"}
+    recording = read_recording(folder, model=model, sheet=sheet, kp=(3.0, float("nan")))
+    assert recording.q[3] == pytest.approx([-0.3, 0.3])
+    assert recording.servo.kp[0] == 3.0
+
+
+def lerobot(folder):
+    (folder / "meta").mkdir(parents=True)
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    names = ["elbow.pos", "wrist.pos"]
+    features = {key: {"names": names, "shape": [2]} for key in ("observation.state", "action")}
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": 30, "features": features}))
+    for episode in (1, 0):
+        values = [[90.0 + k, float(episode)] for k in range(10)]
+        pl.DataFrame(
+            {
+                "observation.state": values,
+                "action": values,
+                "timestamp": [k / 30 for k in range(10)],
+                "frame_index": list(range(10)),
+                "episode_index": [episode] * 10,
+            }
+        ).write_parquet(folder / "data" / "chunk-000" / f"episode_{episode:06d}.parquet")
+    return folder
+
+
+def test_a_lerobot_dataset_is_read_once_its_unit_is_said(tmp_path):
+    folder = lerobot(tmp_path / "set")
+    with pytest.raises(RecordingError, match="the unit of the positions"):
+        read_recording(folder)
+    recording = read_recording(folder, sheet={"units": {"position": "deg", "command": "deg"}})
+    assert recording.joint_names == ("elbow", "wrist")
+    assert recording.q[0, 0] == pytest.approx(np.pi / 2)
+    assert recording.command[0, 0] == pytest.approx(np.pi / 2)
+    assert recording.q[:, 1] == pytest.approx(np.repeat([0.0, np.pi / 180], 10))
+    steps = np.diff(recording.t)
+    assert steps.min() == pytest.approx(1 / 30)
+    assert np.count_nonzero(steps > 1.0) == 1
+
+
+def test_recordings_of_real_robots_with_commands_are_read():
+    data, models = SHARED / "data", SHARED / "models"
+    if not data.is_dir():
+        pytest.skip("shared data are absent")
+    dog = models / "go2" / "go2.xml"
+    with pytest.raises(DescriptionError, match="free joint"):
+        load_robot(dog)
+    model, ((log,),) = fitted_recordings(
+        load_robot(dog, fixed_base=True), (data / "go2_hung" / "traj_0.pt",)
+    )
+    assert (log.n_samples, model.n_joints) == (4698, 12)
+    assert log.rate == pytest.approx(200.0, rel=1e-3)
+    arm = read_recording(data / "so101_sage" / "multisine")
+    assert arm.command.shape == arm.q.shape == (6000, 6)

@@ -1,0 +1,74 @@
+"""Scale of gravity torques: that of the torques logged, where CAD is right."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from asbuilt import StudyOptions, identify, load_robot, simulate_recording
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.identification.calibration.gain_uncertainty import (
+    UNCALIBRATED,
+    USUAL_UNCERTAINTY,
+    gain_errors_of,
+    gains_in_doubt,
+)
+from asbuilt.identification.calibration.gravity_scale import doubted_gains, gravity_scales
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_robot("ur10e")
+
+
+def result_of(arm, scale):
+    log = simulate_recording(arm, random_fourier(arm, rng=3, duration=8.0), rate=200.0, rng=3)
+    log = dataclasses.replace(log, tau=scale * log.tau, torque_source="motor")
+    options = StudyOptions(method="wls", checked=False)
+    return identify(arm, log, options=options).result
+
+
+@pytest.fixture(scope="module")
+def right(arm):
+    return result_of(arm, 1.0)
+
+
+@pytest.fixture(scope="module")
+def half(arm):
+    return result_of(arm, 0.5)
+
+
+def test_the_scale_of_gravity_torques_is_that_of_the_log(right, half):
+    """The first axis is vertical and the last has its mass on its axis: they have no scale."""
+    for result, scale in ((right, 1.0), (half, 0.5)):
+        found = gravity_scales(result)
+        assert np.isnan(found[0])
+        np.testing.assert_allclose(found[1:3], scale, rtol=1e-3)
+
+
+def test_agreement_with_cad_keeps_the_usual_gain_error(right):
+    np.testing.assert_allclose(gain_errors_of(right, "motor"), USUAL_UNCERTAINTY["motor"])
+    assert gains_in_doubt(right, "motor") == ()
+
+
+def test_half_of_the_gravity_torque_widens_gains(half):
+    errors = gain_errors_of(half, "motor")
+    assert errors[1] == pytest.approx(np.hypot(UNCALIBRATED, 0.3), rel=1e-2)
+    assert errors[0] == UNCALIBRATED
+    assert gains_in_doubt(half, "motor")[:1] == (half.model.joint_names[1],)
+    assert gain_errors_of(half, "sensor").max() == 0.0
+    np.testing.assert_allclose(gain_errors_of(half, "motor", 0.03), 0.03)
+
+
+def test_without_cad_masses_nothing_is_known(arm, right):
+    unknown = dataclasses.replace(
+        arm, links=tuple(dataclasses.replace(link, inertia_known=False) for link in arm.links)
+    )
+    result = dataclasses.replace(right, model=unknown)
+    assert np.all(np.isnan(gravity_scales(result)))
+    np.testing.assert_allclose(gain_errors_of(result, "motor"), UNCALIBRATED)
+
+
+def test_doubt_begins_beyond_the_tolerance_of_cad():
+    found = doubted_gains(np.array([np.nan, 1.0, 1.2, 0.5, 1.5]))
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.0, 0.3, 0.3], atol=1e-12)

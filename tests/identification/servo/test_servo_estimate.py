@@ -1,0 +1,137 @@
+"""Stiffness and delay of servos against MuJoCo's position actuators."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from asbuilt.description.formats.mjcf import read_mjcf
+from asbuilt.dynamics.drives.position_servo import PositionServo, described_servo
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.servo.servo_estimate import estimate_servo
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.study import identify
+
+KP, DELAY, STEP, RATE = (15.0, 15.0, 15.0), 0.013, 0.001, 100.0
+ROBOT = """
+<mujoco model="arm"><option timestep="0.001" integrator="implicitfast"/>
+<default><joint damping="0.4" armature="0.02" frictionloss="0.05"/>
+<position kp="15" kv="0.0"/></default>
+<worldbody><body name="a"><joint name="pan" axis="0 0 1"/>
+<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.1" mass="0.3"/>
+<body name="b" pos="0 0 0.1"><joint name="lift" axis="0 1 0"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0.25 0 0" mass="0.4"/>
+<body name="c" pos="0.25 0 0"><joint name="elbow" axis="0 1 0"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0.2 0 0" mass="0.3"/></body></body></body>
+</worldbody><actuator><position joint="pan"/><position joint="lift"/><position joint="elbow"/>
+</actuator></mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def recording():
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(ROBOT)
+    model.geom_contype[:] = 0
+    model.dof_solref[:], model.dof_solimp[:] = [0.004, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
+    data, per, n = mujoco.MjData(model), round(1.0 / RATE / STEP), 4000
+    rng, t = np.random.default_rng(3), np.arange(4000) / RATE
+    waves = [
+        (rng.uniform(0.1, 0.5) / f, 2.0 * np.pi * f, rng.uniform(0, 6.28))
+        for _ in range(3)
+        for f in (0.3, 0.55, 0.9, 1.7)
+    ]
+    u = np.stack(
+        [sum(a * np.sin(w * t + p) for a, w, p in waves[4 * k : 4 * k + 4]) for k in range(3)], 1
+    )
+    fine = np.repeat(u, per, axis=0)
+    late = np.concatenate([np.repeat(u[:1], round(DELAY / STEP), axis=0), fine])
+    q = np.empty((n, 3))
+    data.qpos[:] = u[0]
+    for k in range(n):
+        q[k] = data.qpos
+        for i in range(per):
+            data.ctrl[:] = late[k * per + i]
+            mujoco.mj_step(model, data)
+    q += rng.normal(scale=1e-4, size=q.shape)
+    return Recording(
+        t=t, q=q, tau=np.zeros_like(q), command=u, joint_names=("pan", "lift", "elbow")
+    )
+
+
+def unknown(kp=(np.nan,) * 3, kd=(0.0,) * 3):
+    return PositionServo(kp=kp, kd=kd)
+
+
+def estimated(recording, servo, **settings):
+    model = read_mjcf(ROBOT)
+    drive = DriveSet.parse("armature,viscous,coulomb")
+    driven = driven_by_command(recording, servo)
+    chain = resolve_chain(SignalChain(), driven)
+    return estimate_servo(model, [driven], drive, chain, **settings)
+
+
+def test_delay_of_a_known_servo_is_found(recording):
+    found = estimated(recording, unknown(KP))
+    assert found.servo.kp == KP
+    assert found.errors.delay < 1e-3
+    assert found.servo.delay == pytest.approx(DELAY, abs=STEP)
+    assert found.unexplained == ()
+
+
+def test_stiffness_is_found_from_the_masses_of_cad(recording):
+    found = estimated(recording, unknown())
+    assert not found.errors.shared
+    assert found.servo.kp == pytest.approx(KP, rel=0.03)
+    assert np.array(found.errors.kp) / np.array(found.servo.kp) == pytest.approx(0.1, rel=0.05)
+    assert found.servo.delay == pytest.approx(DELAY, abs=STEP)
+    assert set(found.errors.scale) <= {"gravity", "inertia"}
+
+
+def test_one_stiffness_is_shared_if_asked(recording):
+    together = estimated(recording, unknown(), shared=True)
+    assert together.errors.shared
+    assert np.ptp(together.servo.kp) == 0.0
+    assert together.servo.kp[0] == pytest.approx(15.0, rel=0.03)
+
+
+def test_time_in_contact_is_named(recording):
+    q = recording.q.copy()
+    touching = (recording.t >= 10.0) & (recording.t < 12.0)
+    q[touching, 2] += 0.15
+    found = estimated(dataclasses.replace(recording, q=q), unknown(KP))
+    starts = [block.start for block in found.unexplained]
+    assert starts
+    assert all(8.5 <= start <= 12.5 for start in starts)
+
+
+def test_a_study_of_commands_recovers_armature_and_friction(recording):
+    driven = driven_by_command(recording, unknown(KP))
+    study = identify(
+        read_mjcf(ROBOT),
+        driven,
+        options=StudyOptions(
+            method="entropic", drive=DriveSet.parse("armature,viscous,coulomb"), checked=False
+        ),
+    )
+    result = study.result
+    assert result.servo.delay == pytest.approx(DELAY, abs=1e-3)
+    found = {each.name: each for each in result.parameters}
+    assert found["Fv2"].estimate == pytest.approx(0.4, abs=0.05)
+    assert found["Fc2"].estimate == pytest.approx(0.05, abs=0.02)
+    assert found["Ia3"].estimate == pytest.approx(0.02, abs=0.006)
+    again = type(result).from_json(result.to_json())
+    assert again.servo == result.servo
+    assert again.servo_errors == result.servo_errors
+
+
+def test_gains_of_position_actuators_are_read():
+    pytest.importorskip("mujoco")
+    servo = described_servo(read_mjcf(ROBOT))
+    assert servo is not None
+    assert servo.kp == KP
+    assert servo.kd == (0.0, 0.0, 0.0)

@@ -1,0 +1,1 @@
+from watched_robot import watched  # noqa: F401

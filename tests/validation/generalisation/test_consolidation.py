@@ -1,0 +1,62 @@
+"""Warnings merged by cause: few in the text, all of them kept."""
+
+from asbuilt.findings import Cure, Finding
+from asbuilt.validation.generalisation.consolidation import consolidated
+
+
+def warning(code, message="something is off", joint=None):
+    return Finding(code, "warning", message, Cure("look"), joint=joint)
+
+
+def warnings_of(findings):
+    return [each for each in findings if each.severity == "warning"]
+
+
+def test_one_warning_names_the_joints_of_the_others():
+    found = consolidated(
+        [warning("torque_scale", f"log.csv: {name} is off", name) for name in ("A1", "A2", "A3")]
+    )
+    (only,) = warnings_of(found)
+    assert only.message == "log.csv: A1 is off; likewise A2 and A3"
+    assert [each.joint for each in found if each.severity == "info"] == ["A2", "A3"]
+
+
+def test_one_warning_names_the_recordings_of_the_others():
+    found = consolidated(
+        [
+            warning("end_transient", "one.csv: A1 is off", "A1"),
+            warning("end_transient", "two.csv: A2 is off", "A2"),
+            warning("weak_excitation", "one.csv: too little"),
+            warning("weak_excitation", "two.csv: too little"),
+        ]
+    )
+    assert [each.message for each in warnings_of(found)] == [
+        "one.csv: A1 is off; likewise in two.csv",
+        "one.csv: too little; likewise in two.csv",
+    ]
+    assert len(found) == 4
+
+
+def test_what_another_warning_explains_is_information_and_only_then():
+    alone = consolidated([warning("consistent_fit_costly")])
+    assert [each.severity for each in alone] == ["warning"]
+    beside = consolidated([warning("consistent_fit_costly"), warning("base_tilt")])
+    assert [(each.code, each.severity) for each in beside] == [
+        ("base_tilt", "warning"),
+        ("consistent_fit_costly", "info"),
+    ]
+
+
+def test_errors_stay_first_and_apart_and_causes_come_before_symptoms():
+    errors = [Finding("not_finite", "error", "bad", joint=name) for name in ("A1", "A2")]
+    found = consolidated(
+        [warning("nothing_held_out"), warning("poorly_determined"), warning("base_tilt"), *errors]
+    )
+    assert [each.code for each in found] == [
+        "not_finite",
+        "not_finite",
+        "base_tilt",
+        "poorly_determined",
+        "nothing_held_out",
+    ]
+    assert found[:2] == tuple(errors)
