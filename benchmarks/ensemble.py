@@ -53,9 +53,7 @@ def coloured(shape: tuple[int, int], rng: np.random.Generator) -> Array:
     """Return first-order noise of unit size."""
     forget, warm_up = np.exp(-1.0 / (RATE * CORRELATION)), 200
     white = rng.normal(size=(shape[0] + warm_up, shape[1]))
-    return np.asarray(
-        lfilter([np.sqrt(1.0 - forget**2)], [1.0, -forget], white, axis=0)[warm_up:]
-    )
+    return np.asarray(lfilter([np.sqrt(1.0 - forget**2)], [1.0, -forget], white, axis=0)[warm_up:])
 
 
 def windows_of(recording: Recording, tau: Array) -> Windows:

@@ -13,6 +13,7 @@ import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
@@ -46,10 +47,9 @@ class Command(TyperCommand):
         """Read the arguments; an option that may stand alone then has the empty value."""
         entry = COMMANDS.get(self.name or "")
         bare = () if entry is None else entry.bare
-        after = [*args[1:], "-"]
         given = [
             f"{each}=" if each in bare and following.startswith("-") else each
-            for each, following in zip(args, after, strict=True)
+            for each, following in pairwise([*args, "-"])
         ]
         return super().parse_args(ctx, given)
 

@@ -265,7 +265,7 @@ def export(
             "an ensemble is a set of MJCF or URDF files in one folder",
             {name: given is not None for name, given in others.items()}
             | {"--urdf FILE": urdf is not None and not bare, "--nearest": nearest}
-            | {"--force": force, "--to": bool(to)},
+            | {"--force": force, "--to": bool(to), "--observer": observer is not None},
         )
         _export_ensemble(read_result(result), ensemble, "urdf" if bare else "mjcf", seed, out,
                          full=full, as_json=as_json)  # fmt: skip

@@ -39,13 +39,10 @@ def with_sets_expanded(entries: Sequence[Sequence[str]]) -> list[list[str]]:
     fade with speed. Raises `UsageError` for a set that does not exist.
     """
     expanded = list[list[str]]()
-    for key, *options in entries:
-        if key == "bam" and options:
-            key, *options = f"bam-{options[0]}", *options[1:]
-        if not key.startswith("bam"):
-            expanded.append([key, *options])
-        else:
-            expanded += _terms_of(key, options)
+    for entry in entries:
+        by_colon = entry[0] == "bam" and len(entry) > 1
+        key, *options = [f"bam-{entry[1]}", *entry[2:]] if by_colon else entry
+        expanded += _terms_of(key, options) if key.startswith("bam") else [[key, *options]]
     return expanded
 
 

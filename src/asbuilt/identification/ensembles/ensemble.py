@@ -13,7 +13,6 @@ from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, joined
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.ensembles.consistent_draws import consistent_draws
-from asbuilt.identification.ensembles.torque_scale import torque_scale_slopes
 from asbuilt.identification.information.known_information import determined_directions
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
@@ -122,8 +121,9 @@ def draw_ensemble(result: IdentificationResult, n: int, *, rng: Seed = None) -> 
     """Draw robots from the joint uncertainty of a result.
 
     Base parameters are drawn from `N(estimates, covariance)`; a stiffness of a servo that was
-    identified is drawn with its error, and the base parameters follow the scale that it gives
-    the torque (`torque_scale_slopes`); so is the delay. Every draw becomes a physically consistent
+    identified is drawn with its error, and parameters follow the torque scale that it gives: all of
+    them if the joints share one stiffness, else those of the joint's drive, since the links have
+    their scale from CAD. The delay is drawn with its error. Every draw becomes a physically consistent
     robot (`consistent_draws`), with friction and armature not below zero.
 
     Parameters
@@ -205,9 +205,6 @@ def _stiffness(
             f"the stiffness of the servo of {joined(names)} is undetermined: every draw has the"
             " same one, and only ratios to it mean something"
         )
-    if not shared and np.any(relative) and torque_scale_slopes(result) is None:
-        notes.append("the result has no cause data: every draw has the identified stiffness")
-        factors = np.ones_like(factors)
     return kp * factors, factors, notes
 
 
@@ -215,5 +212,8 @@ def _following(result: IdentificationResult, drawn: Array, factors: Array) -> Ar
     """Return draws of base parameters that follow the torque scale of the joints."""
     if np.all(factors == factors[:, :1]):
         return drawn * factors[:, :1]
-    slopes = torque_scale_slopes(result)
-    return drawn if slopes is None else drawn + (factors - 1.0) @ slopes
+    columns, links = np.asarray(result.base.columns), 10 * result.model.n_joints
+    scaled, of_drive = drawn.copy(), columns >= links
+    joints = (columns[of_drive] - links) // result.base.drive.columns_per_joint
+    scaled[:, of_drive] *= factors[:, joints]
+    return scaled

@@ -157,7 +157,7 @@ def export_result(
             cure=Cure("name it", {"observer": "FILE"}),
         )
     watching = {} if observer is None else _observer(observer, result, thresholds)
-    if all(place is None for place in models):
+    if all(place is None for place in models) and not formats:
         return Export(result.robot, "the identified parameters", watching, {})
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model

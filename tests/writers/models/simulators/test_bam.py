@@ -97,7 +97,7 @@ def test_quadratic_friction_counts_by_direction() -> None:
 
 @pytest.mark.parametrize("text", ["bam", "bam-m7", "bam-m1:velocity=1", "bam-m4:joints=2"])
 def test_names_that_are_no_set(text: str) -> None:
-    with pytest.raises(UsageError, match="set of drive terms|fades with speed"):
+    with pytest.raises(UsageError, match=r"set of drive terms|fades with speed"):
         DriveSet.parse(text)
 
 

@@ -48,8 +48,12 @@ class EnsembleFiles:
         shown = [row for row in self.document["parameters"] if full or "joint" in row]
         columns = tuple(Column(name) for name in ("parameter", "of", "unit", "5 %", "50 %", "95 %"))
         rows = tuple(
-            (row["name"], row.get("joint", row.get("link", "")), row["unit"])
-            + tuple(Shown(row[key], significant(row[key], 4)) for key in ("q05", "q50", "q95"))
+            (
+                row["name"],
+                row.get("joint", row.get("link", "")),
+                row["unit"],
+                *(Shown(row[key], significant(row[key], 4)) for key in ("q05", "q50", "q95")),
+            )
             for row in shown
         )
         first, last = self.models[0], self.models[-1]
@@ -99,9 +103,7 @@ def write_ensemble(
         written = [_write_model(place / name, ensemble, k, models) for k, name in enumerate(names)]
         files = {
             "parameters": atomic_write(place / "parameters.parquet", parquet_table(ensemble)),
-            "loader": atomic_write(
-                place / "load_ensemble.py", loader_text(SUFFIXES[models])
-            ),
+            "loader": atomic_write(place / "load_ensemble.py", loader_text(SUFFIXES[models])),
             "ensemble": write_json(place / MARK, document),
         }
     return EnsembleFiles(ensemble, files, tuple(written), notes, document)

@@ -62,7 +62,7 @@ def correlation(ensemble: Ensemble) -> dict[str, Any]:
     spread, size = table.std(axis=0), np.abs(table).mean(axis=0)
     varies = np.flatnonzero((spread > CONSTANT * size) & (spread > np.finfo(np.float64).tiny))
     names = [ensemble.names[k] for k in varies]
-    if len(ensemble) < 2 or not len(names):
+    if len(ensemble) < 2 or not names:
         return {"names": [], "matrix": []}
     matrix = np.atleast_2d(np.corrcoef(table[:, varies].T))
     return {"names": names, "matrix": np.round(matrix, 6).tolist()}

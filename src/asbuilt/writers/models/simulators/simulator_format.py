@@ -68,7 +68,7 @@ class ExportedDrives:
         for key in ("asymmetric_coulomb", "smooth_coulomb"):
             if key not in carried and any(key in joint.drive.terms for joint in self.model.joints):
                 notes.append(f"{key.replace('_', ' ')} friction is written as Coulomb friction")
-        offsets = {name: each for name, each in self.by_joint(lambda j: j.drive.offset).items()}
+        offsets = self.by_joint(lambda joint: joint.drive.offset)
         if not offset and any(offsets.values()):
             said = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
             notes.append(f"{kind} has no place for the offsets of the drives [N m or N]: {said}")

@@ -51,7 +51,9 @@ class Bam(SimulatorFormat):
                 "BAM has one Stribeck velocity and power for all terms: that of the first term is"
                 f" written for {', '.join(uneven)}",
             )
-        return json.dumps({name: each | late for name, each in sets.items()}, indent=2) + "\n", notes
+        return json.dumps(
+            {name: each | late for name, each in sets.items()}, indent=2
+        ) + "\n", notes
 
 
 def parameter_set(joint: Joint) -> dict[str, Any]:
