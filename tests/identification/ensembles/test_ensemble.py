@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from tests.identification.ensembles.example_results import servo_result, two_link_result
 
 from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.errors import UsageError
@@ -7,7 +8,6 @@ from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.ensembles.consistent_draws import FAITHFUL, consistent_draws
 from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
 from asbuilt.identification.result.result import IdentificationResult
-from tests.identification.ensembles.example_results import servo_result, two_link_result
 
 NORMAL_95 = 1.644854
 

@@ -123,8 +123,8 @@ def draw_ensemble(result: IdentificationResult, n: int, *, rng: Seed = None) -> 
     Base parameters are drawn from `N(estimates, covariance)`; a stiffness of a servo that was
     identified is drawn with its error, and parameters follow the torque scale that it gives: all of
     them if the joints share one stiffness, else those of the joint's drive, since the links have
-    their scale from CAD. The delay is drawn with its error. Every draw becomes a physically consistent
-    robot (`consistent_draws`), with friction and armature not below zero.
+    their scale from CAD. The delay is drawn with its error. Every draw becomes a physically
+    consistent robot (`consistent_draws`), with friction and armature not below zero.
 
     Parameters
     ----------
