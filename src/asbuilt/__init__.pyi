@@ -43,6 +43,8 @@ from .experiment.virtual.simulation import simulate_recording as simulate_record
 from .experiment.virtual.virtual_robot import VirtualRobot as VirtualRobot
 from .findings import Cure as Cure
 from .findings import Finding as Finding
+from .identification.ensembles.ensemble import Ensemble as Ensemble
+from .identification.ensembles.ensemble import draw_ensemble as draw_ensemble
 from .identification.estimators.recursive import RecursiveIdentification as RecursiveIdentification
 from .identification.identify import identify_samples as identify_samples
 from .identification.result.result import IdentificationResult as IdentificationResult
@@ -90,6 +92,8 @@ from .workflow.watching.options import WatchOptions as WatchOptions
 from .workflow.watching.threshold_files import read_thresholds as read_thresholds
 from .workflow.watching.watch import watch as watch
 from .writers.models.convert import convert_robot as convert_robot
+from .writers.models.ensembles.ensemble_files import write_ensemble as write_ensemble
+from .writers.models.ensembles.ensemble_models import ensemble_model as ensemble_model
 from .writers.models.export import export_result as export_result
 from .writers.motion_files import write_motion as write_motion
 from .writers.pictures.view import view_robot as view_robot

@@ -21,6 +21,8 @@ class Entry:
         Public function of `asbuilt` that does the same.
     compiles
         Whether it calls compiled dynamics.
+    bare
+        Options that may stand without their value.
     """
 
     module: str
@@ -28,6 +30,7 @@ class Entry:
     examples: tuple[str, str]
     call: str
     compiles: bool = True
+    bare: tuple[str, ...] = ()
 
 
 GROUPS: dict[str, dict[str, Entry]] = {
@@ -178,12 +181,13 @@ GROUPS: dict[str, dict[str, Entry]] = {
         ),
         "export": Entry(
             "robot",
-            "Write the identified robot as URDF, MJCF, TOML or C.",
+            "Write the identified robot, or many of it, for other software.",
             (
-                "study/result.json --urdf as_built.urdf",
-                "study/result.json --mjcf as_built.xml --c dynamics.c --nearest",
+                "study/result.json --urdf as_built.urdf --to isaac-lab=actuators.py",
+                "study/result.json --ensemble 100 -o ensemble --seed 1",
             ),
             "export_result",
+            bare=("--urdf",),
         ),
     },
     "Fleets": {
