@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.newton_euler import gravity_torque
+from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import AsbuiltError
 from asbuilt.identification.errors.block_scatter import student_probability, widening
+from asbuilt.identification.errors.delay_errors import DelayColumns
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.methods import methods
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.design_values import design_values
 
@@ -70,3 +78,72 @@ def _with_term(drive: DriveSet, key: str, joints: Sequence[int]) -> DriveSet:
     listed = "/".join(map(str, sorted(numbers)))
     (term,) = DriveSet.parse(f"{key}:joints={listed}").terms
     return drive.with_term(term)
+
+
+def tilt_evidence(
+    result: IdentificationResult,
+    training: Sequence[Samples],
+    axes: Array,
+    *,
+    block_seconds: float | None = None,
+) -> float:
+    """Return the size of a base tilt about `axes` (2, 3) in standard errors from time blocks.
+
+    The gravity torques of the links by design under `g x axis` are two further columns of the fit.
+    """
+    model, estimate = result.model, _plain_fit(result, training, block_seconds)
+    plan = RegressorPlan.of(model, result.base.drive, result.base.columns, spare_rows=len(axes) + 1)
+    tilted = [model.with_gravity(np.cross(model.gravity, axis)) for axis in axes]
+    root, m = estimate.solution.inverse_root, len(axes)
+    parts: list[tuple[Array, Array, Array, Array, Array]] = []
+    with one_blas_thread():
+        for part in sample_blocks(model, training, block_seconds):
+            q, r = part.samples.q, root.shape[1]
+            sums = np.zeros((r + m, r + m)), np.zeros(r + m)
+            for chunk in part.chunks(
+                plan, beside=lambda span, q=q: [gravity_torque(each, q[span]) for each in tilted]
+            ):
+                for k, rows in enumerate(chunk):
+                    support, columns = plan.support[k], rows[: -m - 1]
+                    e = estimate.weights[k] * (rows[-1] - estimate.beta[support] @ columns)
+                    x = np.vstack([root[support].T @ columns, rows[-m - 1 : -1]])
+                    x *= estimate.weights[k]
+                    sums[0][...] += x @ x.T
+                    sums[1][...] += x @ e
+            gram, score = sums
+            parts.append((gram[:r, :r], gram[:r, r:], gram[r:, r:], score[:r], score[r:]))
+    place = np.zeros(len(parts), dtype=np.int64)
+    blocks = DelayColumns(*map(np.array, zip(*parts, strict=True)), place, root)
+    shares = np.eye(m)[None]
+    tilt = blocks.solve(shares).increments
+    covariance = _fitted(blocks, tilt).solve(shares).covariance
+    if not np.all(np.isfinite(covariance)):
+        return 0.0
+    return float(np.sqrt(tilt @ np.linalg.solve(covariance, tilt)))
+
+
+def _fitted(blocks: DelayColumns, values: Array) -> DelayColumns:
+    """Return normal equations whose residual is that with these values of the further columns.
+
+    Without them the effect itself would count as scatter between blocks.
+    """
+    moved = np.linalg.pinv(blocks.grams.sum(axis=0), hermitian=True) @ blocks.across.sum(axis=0)
+    back = moved @ values
+    return replace(
+        blocks,
+        beta_scores=blocks.beta_scores - blocks.across @ values + blocks.grams @ back,
+        delay_scores=blocks.delay_scores
+        - blocks.own @ values
+        + np.einsum("brm,r->bm", blocks.across, back),
+    )
+
+
+def _plain_fit(
+    result: IdentificationResult, training: Sequence[Samples], block_seconds: float | None
+) -> Estimate:
+    """Return the weighted least squares fit of the model of a result."""
+    information = accumulate_stream(
+        result.model, result.base, training, block_seconds=block_seconds
+    )
+    design = design_values(result.model, result.base)
+    return methods.find("wls").estimate(EstimationData(result.model, information, training, design))

@@ -15,7 +15,7 @@ from asbuilt.identification.errors.block_scatter import student_probability, wid
 from asbuilt.identification.information.cause_data import TILTS, CauseData
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.validation.comparison.significance import holm
-from asbuilt.validation.generalisation.effect_evidence import own_evidence
+from asbuilt.validation.generalisation.effect_evidence import own_evidence, tilt_evidence
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -27,12 +27,14 @@ class EffectRule:
     """Say when an effect is named.
 
     `level` is the familywise error over all effects (Holm), `confirmed` that of a fit with the
-    effect and its own standard error from time blocks (Bonferroni). An effect less than `separate`
-    of which, in torque, lies outside the columns of the model has no bias that data could show.
+    effect and its own standard error from time blocks (Bonferroni). A base tilt needs `tilt` of
+    its standard errors, as `find_mounting` does. An effect less than `separate` of which, in
+    torque, lies outside the columns of the model has no bias that data could show.
     """
 
     level: float = 0.01
     confirmed: float = 0.05
+    tilt: float = 4.0
     separate: float = 1e-3
 
 
@@ -101,6 +103,10 @@ def confirmed_effects(
         return suspected
     count, names = len(_lacking(result.cause_data, result)), result.cause_data.joint_names
     kept = [each for each in suspected if each.joint is None]
+    if kept:
+        axes = result.cause_data.tilt_axes
+        tilt = tilt_evidence(result, training, axes, block_seconds=block_seconds)
+        kept = [] if tilt < RULE.tilt else [replace(kept[0], sigmas=min(tilt, kept[0].sigmas))]
     for key in dict.fromkeys(each.effect for each in suspected if each.joint is not None):
         own = {
             names.index(each.joint): each
