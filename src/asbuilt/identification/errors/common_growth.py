@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from asbuilt.arrays import Array
 from asbuilt.identification.information.estimate import Estimate
@@ -52,13 +51,12 @@ def common_growth(
     if variance <= 0.0 or not np.any(moves):
         return CommonGrowth(1.0, 0.0)
     rank = effective_rank(moves)
-    raw, pairs = _neighbours(information, moves)
-    rho, spread = _rectified(raw, 1.0 / (pairs * rank)) if pairs else (0.0, 0.0)
+    rho, pairs = _neighbours(information, moves)
     along = 1.0 + 2.0 * rho
     share = leverage / max(information.n_samples * information.n_joints, 1)
     seen = along * float(np.sum(moves**2)) / (moves.shape[1] * variance)
     grown, steep = _absorbed(share, seen)
-    spread *= (2.0 / along) ** 2
+    spread = (2.0 / along) ** 2 / (pairs * rank) if pairs else 0.0
     of_moves = 2.0 / (rank * freedom)
     return CommonGrowth(along * grown, steep**2 * spread + (steep**2 - 1.0) * of_moves)
 
@@ -93,7 +91,7 @@ def _unit_variance(estimate: Estimate) -> float:
 
 
 def _neighbours(information: SquareRootInformation, moves: Array) -> tuple[float, int]:
-    """Return the correlation of the scores of successive blocks, and the number of such pairs.
+    """Return the correlation of the scores of successive blocks, zero or more, and their number.
 
     The residuals of a fit sum to zero, which alone gives the scores of B blocks a correlation of
     -1 / (B - 1); that is added back.
@@ -109,17 +107,4 @@ def _neighbours(information: SquareRootInformation, moves: Array) -> tuple[float
     if not adjacent or energy == 0.0:
         return 0.0, 0
     along = float(np.mean([moves[b] @ moves[b + 1] for b in adjacent])) / energy
-    return along + 1.0 / (len(moves) - 1), len(adjacent)
-
-
-def _rectified(rho: float, variance: float) -> tuple[float, float]:
-    """Return a correlation held between 0 and 0.5, and the variance of one that is held above 0.
-
-    That is the variance of `max(x, 0)`, x normal about the estimate: what cannot be negative varies
-    less (moments of a rectified normal variable).
-    """
-    error = np.sqrt(variance)
-    below, density = ndtr(rho / error), np.exp(-0.5 * (rho / error) ** 2) / np.sqrt(2.0 * np.pi)
-    mean = rho * below + error * density
-    square = (rho**2 + variance) * below + rho * error * density
-    return float(np.clip(rho, 0.0, 0.5)), float(max(square - mean**2, 0.0))
+    return float(np.clip(along + 1.0 / (len(moves) - 1), 0.0, 0.5)), len(adjacent)
