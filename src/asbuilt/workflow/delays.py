@@ -156,10 +156,11 @@ def delay_findings(
     )
     joints = " (joints differ)" if any(each.joints for each in late) else ""
     sure = any(each.joints or abs(each.estimate) > SURE * each.std_error for each in late)
+    alarming = matters and sure
     return (
         Finding(
             "torque_delayed",
-            "warning" if matters and sure else "info",
+            "warning" if alarming else "info",
             f"Torques {'are' if sure else 'may be'} late against positions by {listed}{joints};"
             f" they were shifted back{cost}",
             Cure(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.kernels.blas import one_blas_thread
@@ -98,11 +99,9 @@ def tilt_evidence(
     parts: list[tuple[Array, Array, Array, Array, Array]] = []
     with one_blas_thread():
         for part in sample_blocks(model, training, block_seconds):
-            q, r = part.samples.q, root.shape[1]
+            r = root.shape[1]
             sums = np.zeros((r + m, r + m)), np.zeros(r + m)
-            for chunk in part.chunks(
-                plan, beside=lambda span, q=q: [gravity_torque(each, q[span]) for each in tilted]
-            ):
+            for chunk in part.chunks(plan, _gravity(tilted, part.samples.q)):
                 for k, rows in enumerate(chunk):
                     support, columns = plan.support[k], rows[: -m - 1]
                     e = estimate.weights[k] * (rows[-1] - estimate.beta[support] @ columns)
@@ -112,14 +111,20 @@ def tilt_evidence(
                     sums[1][...] += x @ e
             gram, score = sums
             parts.append((gram[:r, :r], gram[:r, r:], gram[r:, r:], score[:r], score[r:]))
-    place = np.zeros(len(parts), dtype=np.int64)
-    blocks = DelayColumns(*map(np.array, zip(*parts, strict=True)), place, root)
+    place: Any = np.zeros(len(parts), dtype=np.int64)
+    grams, across, own, by_beta, by_tilt = map(np.array, zip(*parts, strict=True))
+    blocks = DelayColumns(grams, across, own, by_beta, by_tilt, place, root)
     shares = np.eye(m)[None]
     tilt = blocks.solve(shares).increments
     covariance = _fitted(blocks, tilt).solve(shares).covariance
     if not np.all(np.isfinite(covariance)):
         return 0.0
     return float(np.sqrt(tilt @ np.linalg.solve(covariance, tilt)))
+
+
+def _gravity(models: Sequence[RobotModel], q: Array) -> Callable[[slice], list[Array]]:
+    """Return what gives the gravity torques of models on a span of positions."""
+    return lambda span: [gravity_torque(each, q[span]) for each in models]
 
 
 def _fitted(blocks: DelayColumns, values: Array) -> DelayColumns:
