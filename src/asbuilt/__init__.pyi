@@ -77,6 +77,7 @@ from .workflow.payload_study import identify_payload as identify_payload
 from .workflow.prepare import prepare as prepare
 from .workflow.result_files import read_result as read_result
 from .workflow.result_files import read_study as read_study
+from .workflow.review import review as review
 from .workflow.simulation.rollout import roll_out_result as roll_out_result
 from .workflow.simulation.rollout import roll_out_robot as roll_out_robot
 from .workflow.study import Study as Study
