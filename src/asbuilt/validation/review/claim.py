@@ -29,6 +29,8 @@ class Claim:
         RMS torque of the difference on the recording, over all joints [N m]; None if unknown.
     p_value, false_discovery
         Probability of as large a difference by chance, and the same for as many tests.
+    alike
+        Whether the estimate is within a tenth of the claim.
     note
         What else there is to say.
     """
@@ -44,6 +46,7 @@ class Claim:
     torque: float | None = None
     p_value: float | None = None
     false_discovery: float | None = None
+    alike: bool = False
     note: str = ""
 
     def as_dict(self) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,8 @@ WIDEST = 1e3
 """Standard deviation, in its size, of a number that nothing holds."""
 UNTOUCHED = 1e-9
 """Part of the variance by which the recording must reduce what is plausible to say anything."""
+LOOSE = 100.0
+"""Factor by which a number is less held while its aliases are sought."""
 ALIKE = 0.5
 """Correlation of two numbers from which one is an alias of the other."""
 MOST_ALIASES = 3
@@ -32,6 +34,15 @@ class Profile:
     std_error: Array
     aliases: tuple[tuple[int, ...], ...]
     misfit: float
+
+    def with_scale(self, claimed: Array, relative: Array) -> Profile:
+        """Return the profile with errors of the scale of torques, relative to each estimate (k,).
+
+        They are added last: beside other errors they would pull the scale toward zero where claims
+        and recording disagree (Peelle, 1987).
+        """
+        scaled = np.nan_to_num(claimed + self.change) * relative
+        return replace(self, std_error=np.hypot(self.std_error, scaled))
 
 
 def profile_numbers(
@@ -91,9 +102,10 @@ def _inverse(A: Array, spread: Array) -> Array:
 
 
 def _aliases(P: Array, weight: Array, j: int) -> tuple[int, ...]:
-    """Return the numbers most correlated with number j where nothing holds it."""
-    kept = max(1.0 - weight[j] * P[j, j], UNTOUCHED)
-    variance = np.diag(P) + P[j] ** 2 * weight[j] / kept
+    """Return the numbers most correlated with number j where it is held `LOOSE` times less."""
+    released = weight[j] * (1.0 - LOOSE**-2)
+    kept = 1.0 - released * P[j, j]
+    variance = np.diag(P) + P[j] ** 2 * released / kept
     correlation = np.abs(P[j] / kept) / np.sqrt(np.maximum(variance * P[j, j] / kept, 1e-300))
     correlation[j] = 0.0
     order = np.argsort(-correlation)[:MOST_ALIASES]

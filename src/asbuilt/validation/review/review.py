@@ -22,9 +22,9 @@ from asbuilt.validation.review.claimed_numbers import ClaimedNumber, claimed_num
 from asbuilt.validation.review.profile import Profile, profile_numbers
 from asbuilt.validation.review.servo_claims import (
     beside_servo,
+    scale_errors,
     servo_claims,
     servo_damping,
-    with_servo_scale,
 )
 
 if TYPE_CHECKING:
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
 """Plausible errors of masses, centres and inertias of a description; own choice."""
+RESOLUTION = 0.1
+"""Difference, relative to its size, up to which a number is as claimed whatever its standard error:
+filters and delays of a log bias by several percent, and tuned numbers claim no more; own choice."""
 DOUBTFUL = 0.05
 """Probability by chance up to which a number is not supported, alone as it is."""
 DETERMINED = 0.5
@@ -125,18 +128,21 @@ def review_result(
     """
     model, base = described or result.model, result.base
     numbers = claimed_numbers(model, base.drive, tolerance)
+    scale, added = scale_errors(result), servo_damping(result, model)
     values = ComparedValues.free(result)
     claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0)
-    claimed += servo_damping(result, model)
+    claimed += added
     used = values.determined & (values.std_errors > 0) & ~values.dropped
     rows = np.flatnonzero(used)
-    covariance = with_servo_scale(result, values.estimates, values.covariance)
     profile = profile_numbers(
         numbers,
         base.regrouping[rows],
         (values.estimates - base.regrouping @ claimed)[rows],
-        covariance[np.ix_(rows, rows)],
+        values.covariance[np.ix_(rows, rows)],
     )
+    whole = [number.claimed + float(number.column @ added) for number in numbers]
+    relative = [scale[result.joint_names.index(number.joint)] for number in numbers]
+    profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [
         _claim(result, numbers, profile, j, freedom)
@@ -180,7 +186,12 @@ def _claim(
     if not known:
         return claim
     p = float(student_probability(np.array([change / error]), np.array([freedom]))[0])
-    return replace(claim, p_value=p, torque=_torque(result, number.column * change))
+    return replace(
+        claim,
+        p_value=p,
+        torque=_torque(result, number.column * change),
+        alike=abs(change) <= RESOLUTION * number.size,
+    )
 
 
 def _torque(result: IdentificationResult, change: Array) -> float | None:
@@ -199,10 +210,12 @@ def _judged(claims: Sequence[Claim], level: float) -> list[Claim]:
     found = list(claims)
     discovery = benjamini_hochberg([claims[j].p_value or 0.0 for j in tested])
     for j, rate in zip(tested, discovery.tolist(), strict=True):
-        doubtful = (claims[j].p_value or 0.0) <= DOUBTFUL
-        verdict: ClaimVerdict = (
-            "contradicted" if rate <= level else "undetermined" if doubtful else claims[j].verdict
-        )
+        claim, beyond = claims[j], not claims[j].alike
+        verdict: ClaimVerdict = claim.verdict
+        if beyond and rate <= level:
+            verdict = "contradicted"
+        elif beyond and (claim.p_value or 0.0) <= DOUBTFUL:
+            verdict = "undetermined"
         found[j] = replace(claims[j], false_discovery=rate, verdict=verdict)
     return found
 

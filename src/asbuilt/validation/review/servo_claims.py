@@ -23,24 +23,12 @@ SCALED = ("mass", "armature", "damping", "friction loss")
 """Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
 
 
-def with_servo_scale(result: IdentificationResult, beta: Array, covariance: Array) -> Array:
-    """Return a covariance (p, p) with the errors of unknown stiffnesses added.
-
-    The torque of a joint, and with it the parameters beta (p,) of its link and drive, has the
-    relative error of the stiffness.
-    """
+def scale_errors(result: IdentificationResult) -> Array:
+    """Return the relative error of the torque of each joint from its stiffness, shape (n,)."""
     errors, servo = result.servo_errors, result.servo
-    if errors is None or servo is None or not any(errors.kp):
-        return covariance
-    relative = np.minimum(np.array(errors.kp) / np.array(servo.kp), 1e3)
-    n, per = result.model.n_joints, result.base.drive.columns_per_joint
-    columns = result.base.columns
-    joint = np.where(columns < 10 * n, columns // 10, (columns - 10 * n) // max(per, 1))
-    if errors.shared:
-        scaled = beta * relative[joint]
-        return np.asarray(covariance + np.outer(scaled, scaled))
-    parts = [np.where(joint == k, relative[k] * beta, 0.0) for k in range(n)]
-    return np.asarray(covariance + sum(np.outer(part, part) for part in parts))
+    if errors is None or servo is None or not errors.kp:
+        return np.zeros(result.model.n_joints)
+    return np.asarray(np.array(errors.kp) / np.array(servo.kp))
 
 
 def servo_damping(result: IdentificationResult, model: RobotModel) -> Array:
@@ -86,7 +74,8 @@ def beside_servo(result: IdentificationResult, claims: Sequence[Claim]) -> list[
     errors = result.servo_errors
     if errors is None:
         return [*claims]
-    own = dict(zip(result.joint_names, zip(errors.scale, errors.kd_unknown, strict=True)))
+    gains = zip(errors.scale, errors.kd_unknown, strict=True)
+    own = dict(zip(result.joint_names, gains, strict=True))
     return [
         replace(claim, alias_of=(*_gains_beside(claim, own.get(claim.joint)), *claim.alias_of))
         for claim in claims
@@ -147,6 +136,7 @@ def _damping(
         verdict=together.verdict,
         torque=together.torque,
         p_value=together.p_value,
+        alike=together.alike,
         note="judged with the claimed damping: only their sum acts",
     )
 

@@ -19,7 +19,7 @@ from asbuilt.tables import (
 )
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.review.claim import Claim
-from asbuilt.validation.review.review import ORDER, Review
+from asbuilt.validation.review.review import ORDER, RESOLUTION, Review
 
 MOST_CLAIMS = 24
 """Claims in a short text."""
@@ -83,8 +83,8 @@ def review_table(review: Review) -> Table:
         tuple(_row(claim) for claim in review.claims),
         title="Claimed numbers beside what the log says with nothing that pulls it to the claim",
         notes=(
-            f"CONTRADICTED: false discovery rate of {share(review.level, 0)} over all numbers;"
-            " supported: standard error at most half of the number; torque: RMS of the difference"
+            f"CONTRADICTED: off by more than {share(RESOLUTION, 0)}, at a false discovery rate of"
+            f" {share(review.level, 0)} over all numbers; supported: standard error at most half of the number; torque: RMS of the difference"
             " over all joints.",
             f"Other numbers are free meanwhile: drives without limit, bodies within {plausible}.",
             *_widened(review),
