@@ -54,8 +54,9 @@ from .validation.attribution.attribution import attribute as attribute
 from .validation.comparison.comparison import compare as compare
 from .validation.comparison.drift import compare_results as compare_results
 from .validation.prediction import validate_samples as validate_samples
-from .workflow.calibration import find_gains as find_gains
-from .workflow.calibration import identify_channels as identify_channels
+from .workflow.calibration.payload_study import identify_payload as identify_payload
+from .workflow.calibration.torques import find_gains as find_gains
+from .workflow.calibration.torques import identify_channels as identify_channels
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .workflow.fleet.identification import FleetIdentification as FleetIdentification
@@ -73,7 +74,6 @@ from .workflow.options import GainOptions as GainOptions
 from .workflow.options import PayloadOptions as PayloadOptions
 from .workflow.options import StudyOptions as StudyOptions
 from .workflow.options import ValidationOptions as ValidationOptions
-from .workflow.payload_study import identify_payload as identify_payload
 from .workflow.prepare import prepare as prepare
 from .workflow.result_files import read_result as read_result
 from .workflow.result_files import read_study as read_study
