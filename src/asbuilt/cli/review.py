@@ -45,8 +45,8 @@ def review(
 ) -> None:
     """Judge every number that a description claims by recordings.
 
-    Armature, damping, friction loss, gains, masses, centres and inertias: supported, contradicted
-    or undetermined, and what each is an alias of.
+    Armature, damping, friction loss, gains, masses, centres and inertias:
+    supported, contradicted or undetermined, and what each is an alias of.
     """
     from asbuilt.validation.comparison.cad_tolerance import CadTolerance
     from asbuilt.validation.review.review import PLAUSIBLE

@@ -84,8 +84,8 @@ def review_table(review: Review) -> Table:
         title="Claimed numbers beside what the log says with nothing that pulls it to the claim",
         notes=(
             f"CONTRADICTED: off by more than {share(RESOLUTION, 0)}, at a false discovery rate of"
-            f" {share(review.level, 0)} over all numbers; supported: standard error at most half of the number; torque: RMS of the difference"
-            " over all joints.",
+            f" {share(review.level, 0)} over all numbers; supported: standard error at most half"
+            " of the number; torque: RMS of the difference over all joints.",
             f"Other numbers are free meanwhile: drives without limit, bodies within {plausible}.",
             *_widened(review),
         ),
