@@ -11,7 +11,6 @@ from asbuilt.tables import (
     Column,
     Shown,
     Table,
-    beside,
     rounded,
     share,
     significant,
@@ -64,7 +63,8 @@ def review_table(review: Review) -> Table:
     """Return one row per claim, contradicted ones first; short: drives before bodies."""
     columns = (
         Column("verdict"),
-        Column("number", width=30),
+        Column("number"),
+        Column("joint", width=22),
         Column("unit", detail=True),
         Column("claimed", align="decimal"),
         Column("log", align="decimal"),
@@ -124,9 +124,10 @@ def _row(claim: Claim) -> tuple[Cell, ...]:
         estimate, error = Shown(claim.estimate, shown), Shown(claim.std_error, uncertainty)
     return (
         verdict,
-        claim.label,
+        claim.what,
+        claim.joint,
         claim.unit,
-        Shown(claim.claimed, beside(claim.claimed, claim.std_error)),
+        Shown(claim.claimed, significant(claim.claimed)),
         estimate,
         error,
         None if claim.torque is None else Shown(claim.torque, significant(claim.torque)),
