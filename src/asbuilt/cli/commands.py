@@ -163,7 +163,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "Judge the numbers that a description claims by recordings.",
             (
                 "tuned.xml log.csv --torque-source command",
-                "tuned.xml log.csv --torque-source command --kp 20 --kd 1.5 --json",
+                "tuned.xml log.csv --torque-source command --kp 20 --kd 1.5",
             ),
             "review",
         ),
