@@ -43,6 +43,8 @@ from .experiment.virtual.simulation import simulate_recording as simulate_record
 from .experiment.virtual.virtual_robot import VirtualRobot as VirtualRobot
 from .findings import Cure as Cure
 from .findings import Finding as Finding
+from .identification.ensembles.ensemble import Ensemble as Ensemble
+from .identification.ensembles.ensemble import draw_ensemble as draw_ensemble
 from .identification.estimators.recursive import RecursiveIdentification as RecursiveIdentification
 from .identification.identify import identify_samples as identify_samples
 from .identification.result.result import IdentificationResult as IdentificationResult
@@ -59,6 +61,9 @@ from .workflow.calibration.torques import find_gains as find_gains
 from .workflow.calibration.torques import identify_channels as identify_channels
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .workflow.fleet.drift.drift import FleetDrift as FleetDrift
+from .workflow.fleet.drift.drift import FleetDriftOptions as FleetDriftOptions
+from .workflow.fleet.drift.drift import fleet_drift as fleet_drift
 from .workflow.fleet.identification import FleetIdentification as FleetIdentification
 from .workflow.fleet.identification import fleet_identify as fleet_identify
 from .workflow.fleet.ledger.ledger import Ledger as Ledger
@@ -88,11 +93,14 @@ from .workflow.watching.options import WatchOptions as WatchOptions
 from .workflow.watching.threshold_files import read_thresholds as read_thresholds
 from .workflow.watching.watch import watch as watch
 from .writers.models.convert import convert_robot as convert_robot
+from .writers.models.ensembles.ensemble_files import write_ensemble as write_ensemble
+from .writers.models.ensembles.ensemble_models import ensemble_model as ensemble_model
 from .writers.models.export import export_result as export_result
 from .writers.motion_files import write_motion as write_motion
 from .writers.pictures.view import view_robot as view_robot
 from .writers.programs.program import make_program as make_program
 from .writers.recording_files import write_recording as write_recording
+from .writers.reports.fleet_report import write_fleet_report as write_fleet_report
 from .writers.reports.report import write_report as write_report
 from .writers.reports.study_files import write_result as write_result
 from .writers.reports.study_files import write_study as write_study

@@ -5,6 +5,9 @@ from .controller_model import ControllerComparison as ControllerComparison
 from .controller_model import compare_controller as compare_controller
 from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .fleet.drift.drift import FleetDrift as FleetDrift
+from .fleet.drift.drift import FleetDriftOptions as FleetDriftOptions
+from .fleet.drift.drift import fleet_drift as fleet_drift
 from .fleet.identification import FleetIdentification as FleetIdentification
 from .fleet.identification import fleet_identify as fleet_identify
 from .fleet.ledger.ledger import Ledger as Ledger
