@@ -1,4 +1,4 @@
-"""Tables of a review of a robot description."""
+"""Text, table and document of a review of a robot description."""
 
 from __future__ import annotations
 
