@@ -82,6 +82,7 @@ from .workflow.options import ValidationOptions as ValidationOptions
 from .workflow.prepare import prepare as prepare
 from .workflow.result_files import read_result as read_result
 from .workflow.result_files import read_study as read_study
+from .workflow.review import review as review
 from .workflow.simulation.rollout import roll_out_result as roll_out_result
 from .workflow.simulation.rollout import roll_out_robot as roll_out_robot
 from .workflow.study import Study as Study

@@ -161,6 +161,15 @@ GROUPS: dict[str, dict[str, Entry]] = {
             ("study/result.json", "before.json --with after.json -o changes"),
             "compare",
         ),
+        "review": Entry(
+            "review",
+            "Judge the numbers that a description claims by recordings.",
+            (
+                "tuned.xml log.csv --torque-source command",
+                "tuned.xml log.csv --torque-source command --kp 20 --kd 1.5",
+            ),
+            "review",
+        ),
         "payload": Entry(
             "identify",
             "Find mass, centre and inertia of what the flange carries.",

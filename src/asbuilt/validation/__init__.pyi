@@ -15,3 +15,6 @@ from .recovery import Recovery as Recovery
 from .recovery import compare_with_truth as compare_with_truth
 from .residuals import ResidualAnalysis as ResidualAnalysis
 from .residuals import analyse_residual as analyse_residual
+from .review.claim import Claim as Claim
+from .review.review import Review as Review
+from .review.review import review_result as review_result

@@ -1,0 +1,74 @@
+"""The command that judges a robot description by recordings: review."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, finding_text, progress_bar
+from asbuilt.cli.arguments.options import (
+    AsJson,
+    Filtering,
+    Full,
+    Logs,
+    Robot,
+    described_robot,
+    distinct_logs,
+    robot_and_recordings,
+)
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.workflow.options import StudyOptions
+
+
+def review(
+    robot: Robot,
+    log: Logs,
+    *,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--cad-tolerance",
+            metavar="30%",
+            help=(
+                "plausible errors of masses, centres and inertias while another number is judged:"
+                " one fraction or three"
+            ),
+        ),
+    ] = None,
+    options: StudyOptions,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Judge every number that a description claims by recordings.
+
+    Armature, damping, friction loss, gains, masses, centres and inertias:
+    supported, contradicted or undetermined, and what each is an alias of.
+    """
+    from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+    from asbuilt.validation.review.review import PLAUSIBLE
+    from asbuilt.workflow.review import review as review_robot
+    from asbuilt.writers.reports.review_text import review_document, review_text
+
+    distinct_logs(log)
+    tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
+    model, swept = described_robot(robot, fixed_base=reading.fixed_base), filtering.cutoff == "auto"
+    chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
+    with progress_bar() as report:
+        report("read", 0.0)
+        model, (recordings,) = robot_and_recordings(model, reading, log)
+        found = review_robot(
+            model,
+            recordings,
+            tolerance=tolerance,
+            options=replace(options, chain=chain, sweep_cutoff=swept),
+            progress=report,
+        )
+    answer(
+        as_json,
+        lambda: review_document(found),
+        lambda: review_text(found, full=full, finding_text=finding_text),
+    )

@@ -1,0 +1,1 @@
+"""Which numbers of a description a recording supports."""

@@ -1,0 +1,142 @@
+"""Numbers that a description claims, and how each changes the standard parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.parameters import parameter_units, parameter_values
+from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+
+DRIVE_WORDS = {"armature": "armature", "viscous": "damping", "coulomb": "friction loss"}
+"""What simulators call the parameter of a drive term."""
+AXES = "xyz"
+UPPER = tuple((a, b) for a in range(3) for b in range(a, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClaimedNumber:
+    """Hold one number of a description.
+
+    Attributes
+    ----------
+    what, joint, unit
+        What it is, of which joint (or of the link that this joint moves).
+    claimed
+        The value; NaN where the description is silent.
+    size
+        What its error is large or small beside: its magnitude, for a centre the radius of
+        gyration, for an inertia the mean moment.
+    spread
+        Plausible standard deviation of its error; infinite for drive parameters.
+    column
+        Change of the standard parameters with the number, shape (n_standard,).
+    """
+
+    what: str
+    joint: str
+    unit: str
+    claimed: float
+    size: float
+    spread: float
+    column: Array
+
+    @property
+    def label(self) -> str:
+        """Name with the joint, such as "armature of elbow"."""
+        return f"{self.what} of {self.joint}"
+
+
+def claimed_numbers(
+    model: RobotModel, drive: DriveSet, tolerance: CadTolerance
+) -> tuple[ClaimedNumber, ...]:
+    """Return the numbers of links and drives, those included on which the description is silent.
+
+    The numbers of a link are its mass, its centre [m] and its inertia about the centre [kg m^2] in
+    the axes of its frame; a link without mass properties has its ten standard parameters, which
+    nothing holds.
+    """
+    found: list[ClaimedNumber] = []
+    count = 10 * model.n_joints + drive.columns_per_joint * model.n_joints
+    for i, (link, joint) in enumerate(zip(model.links, model.joints, strict=True)):
+        known = link.inertia_known and link.inertia.mass > 0.0
+        numbers = _of_link(link.inertia, tolerance) if known else _of_unknown_link()
+        for what, unit, claimed, size, spread, change in numbers:
+            column = np.zeros(count)
+            column[10 * i : 10 * i + 10] = change
+            found.append(ClaimedNumber(what, joint.name, unit, claimed, size, spread, column))
+    return (*found, *_of_drives(model, drive, count))
+
+
+_Number = tuple[str, str, float, float, float, Array]
+
+
+def _of_link(inertia: LinkInertia, tolerance: CadTolerance) -> list[_Number]:
+    """Return mass, centre and inertia of a link with their changes of its parameters (10,)."""
+    m, c, about = inertia.mass, inertia.com, inertia.inertia_about_com
+    moment = max(float(np.trace(about)), 1e-12)
+    gyration = float(np.sqrt(moment / (2.0 * m)))
+    one = np.eye(3)
+    found: list[_Number] = [
+        ("mass", "kg", m, m, tolerance.mass * m, _change((c @ c) * one - np.outer(c, c), c, 1.0))
+    ]
+    for k in range(3):
+        e = one[k]
+        turned = m * (2.0 * c[k] * one - np.outer(e, c) - np.outer(c, e))
+        found.append(
+            (
+                f"centre {AXES[k]}",
+                "m",
+                float(c[k]),
+                gyration,
+                tolerance.centre * gyration,
+                _change(turned, m * e, 0.0),
+            )
+        )
+    for a, b in UPPER:
+        entry = np.zeros((3, 3))
+        entry[a, b] = entry[b, a] = 1.0
+        found.append(
+            (
+                f"inertia {AXES[a]}{AXES[b]}",
+                "kg m^2",
+                float(about[a, b]),
+                moment / 3.0,
+                tolerance.inertia * moment / 3.0,
+                _change(entry, np.zeros(3), 0.0),
+            )
+        )
+    return found
+
+
+def _of_unknown_link() -> list[_Number]:
+    """Return the ten parameters of a link whose description gives none."""
+    return [("unknown", "", np.nan, 1.0, np.inf, change) for change in np.eye(10)]
+
+
+def _change(inertia: Array, first_moment: Array, mass: float) -> Array:
+    return np.array([*(inertia[a, b] for a, b in UPPER), *first_moment, mass])
+
+
+def _of_drives(model: RobotModel, drive: DriveSet, count: int) -> list[ClaimedNumber]:
+    values, units = parameter_values(model, drive), parameter_units(model, drive)
+    words = [
+        DRIVE_WORDS.get(term.key, f"{term.key} {symbol}")
+        for term in drive.terms
+        for symbol in term.symbols
+    ]
+    found, j = [], 10 * model.n_joints
+    for joint in model.joints:
+        for what in words:
+            claimed = float(values[j])
+            size = abs(claimed) if np.isfinite(claimed) and claimed else 1.0
+            column = np.zeros(count)
+            column[j] = 1.0
+            found.append(ClaimedNumber(what, joint.name, units[j], claimed, size, np.inf, column))
+            j += 1
+    return found

@@ -1,0 +1,227 @@
+"""Verdicts on the numbers of a description: supported, contradicted or undetermined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.findings import Finding
+from asbuilt.identification.errors.block_scatter import mean_degrees, student_probability
+from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
+from asbuilt.validation.comparison.equal_terms import ComparedValues
+from asbuilt.validation.comparison.significance import benjamini_hochberg
+from asbuilt.validation.review.claim import Claim, ClaimVerdict
+from asbuilt.validation.review.claimed_numbers import ClaimedNumber, claimed_numbers
+from asbuilt.validation.review.profile import Profile, profile_numbers
+from asbuilt.validation.review.servo_claims import (
+    beside_servo,
+    scale_errors,
+    servo_claims,
+    servo_damping,
+)
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
+
+ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
+PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
+"""Plausible errors of masses, centres and inertias of a description; own choice."""
+RESOLUTION = 0.1
+"""Difference, relative to its size, up to which a number is as claimed whatever its standard error:
+filters and delays of a log bias by several percent, and tuned numbers claim no more; own choice."""
+DOUBTFUL = 0.05
+"""Probability by chance up to which a number is not supported, alone as it is."""
+DETERMINED = 0.5
+"""Standard error of a supported number, relative to its size, at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Review:
+    """Hold the verdicts on the numbers of a description, contradicted ones first.
+
+    Attributes
+    ----------
+    robot
+        Name of the robot.
+    claims
+        The verdicts.
+    tolerance
+        What is plausible for masses, centres and inertias while another number is judged.
+    misfit
+        Root mean square of what no plausible numbers explain, in standard errors; errors are
+        widened by it.
+    level
+        False discovery rate at which a number is contradicted.
+    sources
+        The recordings.
+    findings
+        What the identification found.
+    result
+        The result whose weighted least squares the verdicts are of.
+    """
+
+    robot: str
+    claims: tuple[Claim, ...]
+    tolerance: CadTolerance
+    misfit: float
+    level: float
+    sources: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    result: IdentificationResult
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in ORDER)
+        return f"<Review of {self.robot}: {counts}>"
+
+    def count(self, verdict: ClaimVerdict) -> int:
+        """Return the number of claims with a verdict."""
+        return sum(claim.verdict == verdict for claim in self.claims)
+
+    def of(self, what: str, joint: str) -> Claim:
+        """Return the claim of a number, such as the "armature" of a joint.
+
+        Raises `KeyError` if the description makes none.
+        """
+        for claim in self.claims:
+            if (claim.what, claim.joint) == (what, joint):
+                return claim
+        raise KeyError(f"the description claims no {what} of {joint}")
+
+
+def review_result(
+    result: IdentificationResult,
+    *,
+    described: RobotModel | None = None,
+    peaks: Array | None = None,
+    tolerance: CadTolerance = PLAUSIBLE,
+    level: float = FALSE_DISCOVERY_RATE,
+    findings: Sequence[Finding] = (),
+) -> Review:
+    """Judge the numbers of the description that a result was identified with.
+
+    Parameters
+    ----------
+    result
+        The result; its values by weighted least squares are used, which nothing pulls to CAD.
+    described
+        The robot with its claims; None: that of the result.
+    peaks
+        Largest torque that the servo of each joint was asked for (n,), for torque limits.
+    tolerance
+        What is plausible for masses, centres and inertias while another number is judged.
+    level
+        False discovery rate up to which a number is contradicted.
+    findings
+        What the identification found.
+
+    Returns
+    -------
+    Review
+        A verdict on every number.
+    """
+    model, base = described or result.model, result.base
+    numbers = claimed_numbers(model, base.drive, tolerance)
+    scale, added = scale_errors(result), servo_damping(result, model)
+    values = ComparedValues.free(result)
+    claimed = np.nan_to_num(parameter_values(model, base.drive), nan=0.0)
+    claimed += added
+    used = values.determined & (values.std_errors > 0) & ~values.dropped
+    rows = np.flatnonzero(used)
+    profile = profile_numbers(
+        numbers,
+        base.regrouping[rows],
+        (values.estimates - base.regrouping @ claimed)[rows],
+        values.covariance[np.ix_(rows, rows)],
+    )
+    whole = [number.claimed + float(number.column @ added) for number in numbers]
+    relative = [scale[result.joint_names.index(number.joint)] for number in numbers]
+    profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
+    freedom = mean_degrees(values.degrees_of_freedom[rows])
+    claims = [
+        _claim(result, numbers, profile, j, freedom)
+        for j, number in enumerate(numbers)
+        if np.isfinite(number.claimed) and number.joint not in model.locked_joints
+    ]
+    claims += servo_claims(result, model, claims, peaks)
+    judged = beside_servo(result, _judged(claims, level))
+    return Review(
+        result.robot,
+        tuple(sorted(judged, key=_rank)),
+        tolerance,
+        profile.misfit,
+        level,
+        result.sources,
+        tuple(findings),
+        result,
+    )
+
+
+def _claim(
+    result: IdentificationResult,
+    numbers: Sequence[ClaimedNumber],
+    profile: Profile,
+    j: int,
+    freedom: float,
+) -> Claim:
+    """Return what is said of number j, not yet judged beside the others."""
+    number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
+    known = bool(np.isfinite(change) and np.isfinite(error))
+    claim = Claim(
+        number.what,
+        number.joint,
+        number.unit,
+        number.claimed,
+        number.claimed + change if known else None,
+        error if known else None,
+        "supported" if known and error <= DETERMINED * number.size else "undetermined",
+        tuple(numbers[k].label for k in profile.aliases[j] if numbers[k].what != "unknown"),
+    )
+    if not known:
+        return claim
+    p = float(student_probability(np.array([change / error]), np.array([freedom]))[0])
+    return replace(
+        claim,
+        p_value=p,
+        torque=_torque(result, number.column * change),
+        alike=abs(change) <= RESOLUTION * number.size,
+    )
+
+
+def _torque(result: IdentificationResult, change: Array) -> float | None:
+    """Return the RMS torque over all joints of a change of the standard parameters."""
+    data, base = result.cause_data, result.base
+    if data is None:
+        return None
+    places, beta = data.places(base.names), base.regrouping @ change
+    rows = [factor[:, places] @ beta for factor in (*data.whole(data.fitted),)]
+    return float(np.sqrt(sum(float(row @ row) for row in rows) / data.n_fitted))
+
+
+def _judged(claims: Sequence[Claim], level: float) -> list[Claim]:
+    """Return the claims with those contradicted that are so at a false discovery rate."""
+    tested = [j for j, claim in enumerate(claims) if claim.p_value is not None]
+    found = list(claims)
+    discovery = benjamini_hochberg([claims[j].p_value or 0.0 for j in tested])
+    for j, rate in zip(tested, discovery.tolist(), strict=True):
+        claim, beyond = claims[j], not claims[j].alike
+        verdict: ClaimVerdict = claim.verdict
+        if beyond and rate <= level:
+            verdict = "contradicted"
+        elif beyond and (claim.p_value or 0.0) <= DOUBTFUL:
+            verdict = "undetermined"
+        found[j] = replace(claims[j], false_discovery=rate, verdict=verdict)
+    return found
+
+
+def _rank(claim: Claim) -> tuple[int, float, float]:
+    """Return the place in the order: by torque; what is undetermined by its probability."""
+    probability = 2.0 if claim.p_value is None else claim.p_value
+    by_chance = probability if claim.verdict == "undetermined" else 0.0
+    return ORDER.index(claim.verdict), by_chance, -(claim.torque or 0.0)

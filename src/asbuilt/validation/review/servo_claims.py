@@ -1,0 +1,155 @@
+"""Claims of position servos: stiffness, damping and torque limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.parameters import parameter_names, parameter_values
+from asbuilt.identification.errors.block_scatter import student_probability
+from asbuilt.validation.review.claim import Claim
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
+
+UNDETERMINED = 0.5
+"""Relative standard error of a stiffness beyond which only ratios to it are determined."""
+SCALED = ("mass", "armature", "damping", "friction loss")
+"""Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
+
+
+def scale_errors(result: IdentificationResult) -> Array:
+    """Return the relative error of the torque of each joint from its stiffness, shape (n,)."""
+    errors, servo = result.servo_errors, result.servo
+    if errors is None or servo is None or not errors.kp:
+        return np.zeros(result.model.n_joints)
+    return np.asarray(np.array(errors.kp) / np.array(servo.kp))
+
+
+def servo_damping(result: IdentificationResult, model: RobotModel) -> Array:
+    """Return what the claimed damping of servos adds to the standard parameters (n_standard,).
+
+    Where the damping of the servo was not given, viscous friction as built includes it.
+    """
+    added = np.zeros(len(parameter_values(model, result.base.drive)))
+    errors = result.servo_errors
+    if errors is None:
+        return added
+    names = parameter_names(model, result.base.drive)
+    for k, (joint, unknown) in enumerate(zip(model.joints, errors.kd_unknown, strict=True)):
+        if unknown and joint.drive.kd and f"Fv{k + 1}" in names:
+            added[names.index(f"Fv{k + 1}")] = joint.drive.kd
+    return added
+
+
+def servo_claims(
+    result: IdentificationResult,
+    model: RobotModel,
+    claims: Sequence[Claim],
+    peaks: Array | None,
+) -> list[Claim]:
+    """Return the claims of servos, not yet judged beside the others.
+
+    `claims` are those of drives, `peaks` (n,) the largest torques that the servos were asked for.
+    """
+    found = []
+    damping = {claim.joint: claim for claim in claims if claim.what == "damping"}
+    for k, joint in enumerate(model.joints):
+        if joint.drive.kp is not None:
+            found.append(_stiffness(result, k, joint.name, joint.drive.kp))
+        if joint.drive.kd:
+            found.append(_damping(result, k, joint.name, joint.drive.kd, damping))
+        if np.isfinite(joint.limits.torque) and peaks is not None:
+            found.append(_limit(joint.name, joint.limits.torque, float(peaks[k])))
+    return found
+
+
+def beside_servo(result: IdentificationResult, claims: Sequence[Claim]) -> list[Claim]:
+    """Return claims that name the unknown gains of servos among what they are aliases of."""
+    errors = result.servo_errors
+    if errors is None:
+        return [*claims]
+    gains = zip(errors.scale, errors.kd_unknown, strict=True)
+    own = dict(zip(result.joint_names, gains, strict=True))
+    return [
+        replace(claim, alias_of=(*_gains_beside(claim, own.get(claim.joint)), *claim.alias_of))
+        for claim in claims
+    ]
+
+
+def _gains_beside(claim: Claim, servo: tuple[str, bool] | None) -> tuple[str, ...]:
+    if servo is None or claim.what not in SCALED:
+        return ()
+    scale, kd_unknown = servo
+    return (
+        *([f"kp of {claim.joint}"] if scale != "given" else []),
+        *([f"kv of {claim.joint}"] if kd_unknown and claim.what == "damping" else []),
+    )
+
+
+def _stiffness(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
+    claim = Claim("kp", joint, "N m/rad", claimed, None, None, "undetermined")
+    errors, servo = result.servo_errors, result.servo
+    if errors is None or servo is None:
+        return replace(claim, note="the torque of this recording is not that of the servo")
+    if errors.scale[k] == "given":
+        return replace(claim, note=f"given as {servo.kp[k]:.6g}, not judged")
+    estimate, error = servo.kp[k], errors.kp[k]
+    all_torques = f"scale of all torques of {joint}"
+    if not error < UNDETERMINED * estimate:
+        return replace(
+            claim, alias_of=(all_torques,), note="only ratios of other numbers to it are determined"
+        )
+    p = float(student_probability(np.array([(estimate - claimed) / error]), np.array([np.inf]))[0])
+    return replace(
+        claim,
+        estimate=estimate,
+        std_error=error,
+        verdict="supported",
+        alias_of=(all_torques,),
+        p_value=p,
+        note=f"scale from the {errors.scale[k]} of the description",
+    )
+
+
+def _damping(
+    result: IdentificationResult, k: int, joint: str, claimed: float, damping: dict[str, Claim]
+) -> Claim:
+    claim = Claim("kv", joint, "N m s/rad", claimed, None, None, "undetermined")
+    errors, together = result.servo_errors, damping.get(joint)
+    if errors is None:
+        return replace(claim, note="the torque of this recording is not that of the servo")
+    if not errors.kd_unknown[k]:
+        return replace(claim, note="given, not judged")
+    claim = replace(claim, alias_of=(f"damping of {joint}",))
+    if together is None or together.estimate is None:
+        return claim
+    return replace(
+        claim,
+        estimate=claimed + together.estimate - together.claimed,
+        std_error=together.std_error,
+        verdict=together.verdict,
+        torque=together.torque,
+        p_value=together.p_value,
+        alike=together.alike,
+        note="judged with the claimed damping: only their sum acts",
+    )
+
+
+def _limit(joint: str, claimed: float, peak: float) -> Claim:
+    reached = "beyond the claim" if peak > claimed else "below it"
+    return Claim(
+        "forcerange",
+        joint,
+        "N m",
+        claimed,
+        None,
+        None,
+        "undetermined",
+        note=f"largest torque that the command asks for: {peak:.3g} N m, {reached}",
+    )
