@@ -13,6 +13,7 @@ import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
@@ -41,6 +42,16 @@ HELP = {"help_option_names": ["-h", "--help"]}
 
 class Command(TyperCommand):
     """A command whose help groups its options and ends with two examples."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        """Read the arguments; an option that may stand alone then has the empty value."""
+        entry = COMMANDS.get(self.name or "")
+        bare = () if entry is None else entry.bare
+        given = [
+            f"{each}=" if each in bare and following.startswith("-") else each
+            for each, following in pairwise([*args, "-"])
+        ]
+        return super().parse_args(ctx, given)
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return `[OPTIONS]` and the names of the arguments."""

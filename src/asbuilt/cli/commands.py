@@ -21,6 +21,8 @@ class Entry:
         Public function of `asbuilt` that does the same.
     compiles
         Whether it calls compiled dynamics.
+    bare
+        Options that may stand without their value.
     """
 
     module: str
@@ -28,6 +30,7 @@ class Entry:
     examples: tuple[str, str]
     call: str
     compiles: bool = True
+    bare: tuple[str, ...] = ()
 
 
 GROUPS: dict[str, dict[str, Entry]] = {
@@ -178,12 +181,13 @@ GROUPS: dict[str, dict[str, Entry]] = {
         ),
         "export": Entry(
             "robot",
-            "Write the identified robot as URDF, MJCF, TOML or C.",
+            "Write the identified robot, or many of it, for other software.",
             (
-                "study/result.json --urdf as_built.urdf",
-                "study/result.json --mjcf as_built.xml --c dynamics.c --nearest",
+                "study/result.json --urdf as_built.urdf --to isaac-lab=actuators.py",
+                "study/result.json --ensemble 100 -o ensemble --seed 1",
             ),
             "export_result",
+            bare=("--urdf",),
         ),
     },
     "Fleets": {
@@ -244,6 +248,18 @@ SUBCOMMANDS: dict[str, dict[str, Entry]] = {
             "Identify a robot from the ledger alone, in any window of dates.",
             ("ledger --id arm-7", "ledger --id arm-7 --since 2026-03-01 -o study"),
             "fleet_identify",
+        ),
+        "drift": Entry(
+            "fleet_drift",
+            "Find the robots that changed: when, what and how large.",
+            ("ledger", "ledger --since 2026-03-01 --json"),
+            "fleet_drift",
+        ),
+        "report": Entry(
+            "fleet_drift",
+            "Write a page of each robot's history, those that changed first.",
+            ("ledger --out page", "ledger --since 2026-03-01 -o page"),
+            "write_fleet_report",
         ),
     },
 }

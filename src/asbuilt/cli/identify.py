@@ -60,7 +60,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a robot from recordings, and validate the result."""
-    from asbuilt.workflow.payload_study import identify_payload
+    from asbuilt.workflow.calibration.payload_study import identify_payload
     from asbuilt.workflow.study import identify as identify_robot
     from asbuilt.writers.reports.study_files import study_document, study_text, write_study
 
@@ -349,7 +349,7 @@ def payload(
 ) -> None:
     """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
-    from asbuilt.workflow.payload_study import identify_payload
+    from asbuilt.workflow.calibration.payload_study import identify_payload
     from asbuilt.writers.tables.payload_tables import payload_document, payload_text
     from asbuilt.writers.tables.tabular import write_json
 

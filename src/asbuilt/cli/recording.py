@@ -116,7 +116,7 @@ def gains(
     usual; the gains printed replace them.
     """
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.workflow.calibration import find_gains
+    from asbuilt.workflow.calibration.torques import find_gains
     from asbuilt.workflow.options import GainOptions
     from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 
@@ -186,7 +186,7 @@ def channels(
     """Identify links, link-side friction and motor side from torques on both sides of the gears."""
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.tables import wrapped
-    from asbuilt.workflow.calibration import identify_channels
+    from asbuilt.workflow.calibration.torques import identify_channels
     from asbuilt.workflow.options import ChannelOptions
     from asbuilt.writers.tables.drive_tables import channels_document, channels_text
 

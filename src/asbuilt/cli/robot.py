@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,15 +13,22 @@ from asbuilt.cli.arguments.options import (
     AsJson,
     Drive,
     Full,
+    Out,
     Result,
     Robot,
     RobotOrResult,
+    Seed,
     described_robot,
     read_result,
+    refuse_idle,
     robot_as_built,
     writable_file,
 )
 from asbuilt.cli.arguments.spread import one_of
+from asbuilt.errors import UsageError
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
 
 
 def robots(as_json: AsJson = False) -> None:
@@ -168,7 +175,11 @@ def export(
     result: Result,
     urdf: Annotated[
         Path | None,
-        typer.Option("--urdf", metavar="FILE", help="URDF, the original as built"),
+        typer.Option(
+            "--urdf",
+            metavar="FILE",
+            help="URDF, the original as built; with --ensemble alone: URDF in place of MJCF",
+        ),
     ] = None,
     mjcf: Annotated[
         Path | None, typer.Option("--mjcf", metavar="FILE", help="MJCF, for MuJoCo")
@@ -218,12 +229,50 @@ def export(
         bool,
         typer.Option("--force", help="with --nearest: write it however large its error"),
     ] = False,
+    to: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--to",
+            metavar="FORMAT=FILE",
+            help="for a simulator: isaac-lab, usd, mjlab, bam or ros2-control; repeat for more",
+        ),
+    ] = None,
+    ensemble: Annotated[
+        int | None,
+        typer.Option(
+            "--ensemble",
+            metavar="N",
+            min=1,
+            help="N robots drawn from the uncertainty, with their ranges; needs --out",
+        ),
+    ] = None,
+    seed: Seed = 0,
+    out: Out = None,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write the identified robot for other software."""
+    """Write the identified robot for other software.
+
+    With --ensemble: many robots that the recordings allow, for domain randomization.
+    """
     from asbuilt.workflow.watching.threshold_files import read_thresholds
     from asbuilt.writers.models.export import export_result
 
+    bare = urdf == Path()
+    if ensemble is not None:
+        others = {"--mjcf": mjcf, "--toml": toml, "--c": c, "--original": original}
+        refuse_idle(
+            "an ensemble is a set of MJCF or URDF files in one folder",
+            {name: given is not None for name, given in others.items()}
+            | {"--urdf FILE": urdf is not None and not bare, "--nearest": nearest}
+            | {"--force": force, "--to": bool(to), "--observer": observer is not None},
+        )
+        _export_ensemble(read_result(result), ensemble, "urdf" if bare else "mjcf", seed, out,
+                         full=full, as_json=as_json)  # fmt: skip
+        return
+    if bare:
+        raise UsageError("--urdf needs the name of a file, or --ensemble N")
+    refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
     exported = export_result(
         read_result(result),
         urdf=urdf,
@@ -235,8 +284,41 @@ def export(
         original=original,
         nearest=nearest,
         force=force,
+        simulators=_places(to or []),
     )
     answer(as_json, exported.as_document, exported.as_text)
+
+
+def _places(to: list[str]) -> dict[str, Path]:
+    """Return the file of each simulator format, from FORMAT=FILE."""
+    places: dict[str, Path] = {}
+    for each in to:
+        key, equals, place = each.partition("=")
+        if not equals or not place:
+            raise UsageError(f"--to takes FORMAT=FILE, got {each!r}", value=each)
+        if key in places:
+            raise UsageError(f"--to {key} is given twice", value=each)
+        places[key] = Path(place)
+    return places
+
+
+def _export_ensemble(
+    result: IdentificationResult,
+    n: int,
+    models: Literal["mjcf", "urdf"],
+    seed: int,
+    out: Path | None,
+    *,
+    full: bool,
+    as_json: bool,
+) -> None:
+    from asbuilt.identification.ensembles.ensemble import draw_ensemble
+    from asbuilt.writers.models.ensembles.ensemble_files import write_ensemble
+
+    if out is None:
+        raise UsageError("an ensemble is a folder of files; name it with --out DIR")
+    written = write_ensemble(out, draw_ensemble(result, n, rng=seed), models=models, seed=seed)
+    answer(as_json, written.as_document, lambda: written.as_text(full))
 
 
 def convert(

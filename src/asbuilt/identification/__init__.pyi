@@ -5,6 +5,8 @@ from .calibration.torque_gains import TorqueGains as TorqueGains
 from .calibration.torque_gains import identify_gains as identify_gains
 from .calibration.two_channels import TwoChannelEstimate as TwoChannelEstimate
 from .calibration.two_channels import identify_two_channels as identify_two_channels
+from .ensembles.ensemble import Ensemble as Ensemble
+from .ensembles.ensemble import draw_ensemble as draw_ensemble
 from .estimators.methods import Estimator as Estimator
 from .estimators.methods import estimator as estimator
 from .estimators.methods import methods as methods

@@ -1,9 +1,13 @@
-from .calibration import find_gains as find_gains
-from .calibration import identify_channels as identify_channels
+from .calibration.payload_study import identify_payload as identify_payload
+from .calibration.torques import find_gains as find_gains
+from .calibration.torques import identify_channels as identify_channels
 from .controller_model import ControllerComparison as ControllerComparison
 from .controller_model import compare_controller as compare_controller
 from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .fleet.drift.drift import FleetDrift as FleetDrift
+from .fleet.drift.drift import FleetDriftOptions as FleetDriftOptions
+from .fleet.drift.drift import fleet_drift as fleet_drift
 from .fleet.identification import FleetIdentification as FleetIdentification
 from .fleet.identification import fleet_identify as fleet_identify
 from .fleet.ledger.ledger import Ledger as Ledger
@@ -21,7 +25,6 @@ from .options import GainOptions as GainOptions
 from .options import PayloadOptions as PayloadOptions
 from .options import StudyOptions as StudyOptions
 from .options import ValidationOptions as ValidationOptions
-from .payload_study import identify_payload as identify_payload
 from .prepare import Prepared as Prepared
 from .prepare import prepare as prepare
 from .result_files import read_result as read_result

@@ -1,6 +1,9 @@
 from .figures.torque_figure import torque_figure as torque_figure
 from .models.convert import Conversion as Conversion
 from .models.convert import convert_robot as convert_robot
+from .models.ensembles.ensemble_files import EnsembleFiles as EnsembleFiles
+from .models.ensembles.ensemble_files import write_ensemble as write_ensemble
+from .models.ensembles.ensemble_models import ensemble_model as ensemble_model
 from .models.export import Export as Export
 from .models.export import export_result as export_result
 from .motion_files import write_motion as write_motion
@@ -11,6 +14,7 @@ from .programs.format import program_format as program_format
 from .programs.program import make_program as make_program
 from .recording_files import write_recording as write_recording
 from .recording_files import write_simulation as write_simulation
+from .reports.fleet_report import write_fleet_report as write_fleet_report
 from .reports.report import report_html as report_html
 from .reports.report import write_report as write_report
 from .reports.study_files import write_result as write_result

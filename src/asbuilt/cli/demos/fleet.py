@@ -18,9 +18,11 @@ from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Column, Table, wrapped
 from asbuilt.validation.comparison.drift import Drift, compare_results
+from asbuilt.workflow.fleet.drift.drift import FleetDrift, fleet_drift
 from asbuilt.workflow.fleet.identification import fleet_identify
 from asbuilt.workflow.fleet.reduction.add import Addition, FleetOptions, add_logs, id_from
 from asbuilt.writers.recording_files import write_recording
+from asbuilt.writers.tables.drift_tables import drift_verdict
 from asbuilt.writers.tables.fleet_tables import addition_document
 
 Progress = Callable[[str, float], None]
@@ -38,13 +40,17 @@ SECONDS, RATE = 12.0, 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetDemo:
-    """Hold the demonstration: what was added, each robot's result, and how its halves differ."""
+    """Hold the demonstration: what was added, each robot's result, and what changed.
+
+    `changes` compares the halves of each robot's days, `drift` all robots with natural variation.
+    """
 
     ledger: Path
     logs: Path
     addition: Addition
     results: dict[str, IdentificationResult]
     changes: dict[str, Drift]
+    drift: FleetDrift
     seconds: float
 
 
@@ -92,9 +98,9 @@ def run_fleet_demo(
             fleet_identify(ledger, name, since=middle).result,
         )
         changes[name] = compare_results(*halves, labels=("before", "after"))
-    return FleetDemo(
-        ledger, folder / "logs", addition, results, changes, time.perf_counter() - began
-    )
+    drift = fleet_drift(ledger, progress=report)
+    seconds = time.perf_counter() - began
+    return FleetDemo(ledger, folder / "logs", addition, results, changes, drift, seconds)
 
 
 def _record(folder: Path, k: int, day: int) -> Path:
@@ -154,9 +160,17 @@ def fleet_demo_text(demo: FleetDemo) -> str:
             f" {_change(demo.changes[worst]):.0f} per parameter, of noise alone 1."
         ),
         "",
+        wrapped(drift_verdict(demo.drift)),
+        *(
+            wrapped(f"{each.id}, from {(each.when or '')[:10]}: {change.text}")
+            for each in demo.drift.changed
+            for change in each.what
+        ),
+        "",
         f"logs    {demo.logs}",
         f"ledger  {demo.ledger}",
-        f"try     asbuilt fleet identify {demo.ledger} --id {worst}",
+        f"try     asbuilt fleet report {demo.ledger} --out page",
+        f"        asbuilt fleet identify {demo.ledger} --id {worst}",
         f"{demo.seconds:.0f} s",
     ]
     return "\n".join(lines) + "\n"
@@ -181,6 +195,7 @@ def fleet_demo_document(demo: FleetDemo) -> dict[str, Any]:
             }
             for name, result in demo.results.items()
         ],
+        "drift": demo.drift.as_document(),
         "files": {"logs": str(demo.logs), "ledger": str(demo.ledger)},
         "seconds": demo.seconds,
     }

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import DriveValues, JointKind
+from asbuilt.dynamics.drives.named_sets import with_sets_expanded
 from asbuilt.dynamics.drives.term import TERMS, DriveTerm, NonlinearValue
 from asbuilt.errors import UsageError
 
@@ -53,12 +54,14 @@ class DriveSet:
         "none" and the empty list choose no term. A key may state nonlinear parameters for all
         joints, as in `stribeck:velocity=0.05:power=1`, or for each, divided by slashes, as in
         `smooth_coulomb:width=0.02/0.01`; and the numbers of the joints that have the term, as in
-        `spring:joints=2/5`. Raises UsageError for terms and options that do not exist.
+        `spring:joints=2/5`. A set of terms with a name (`NAMED_SETS`), such as `bam-m4`, stands for
+        its terms. Raises UsageError for terms and options that do not exist.
         """
         given = text.split(",") if isinstance(text, str) else list(text)
         chosen = [
             [part.strip() for part in entry.lower().split(":")] for entry in given if entry.strip()
         ]
+        chosen = with_sets_expanded(chosen)
         if chosen == [[NONE]]:
             return cls()
         if [NONE] in chosen:

@@ -23,7 +23,8 @@ class ErrorBasis:
     ----------
     kind
         `"blocks"` (formula from time blocks), `"bootstrap"` (fits to time blocks drawn with
-        replacement), `"textbook"` (residuals taken as independent) or `"unstated"`.
+        replacement), `"textbook"` (residuals taken as independent), `"siblings"`
+        (posterior with other robots as prior) or `"unstated"`.
     asked
         Requested kind, which needs enough time blocks.
     n_blocks, block_seconds
@@ -64,6 +65,11 @@ class ErrorBasis:
         if self.kind == "textbook":
             return (
                 f"Standard errors (textbook): residuals taken as independent, {self._too_small()}."
+            )
+        if self.kind == "siblings":
+            return (
+                "Standard errors (siblings): of the posterior, with the spread of the siblings and"
+                f" residual correlation ({worth})."
             )
         return f"Standard errors allow for residual correlation ({worth})."
 

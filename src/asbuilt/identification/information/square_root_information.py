@@ -23,6 +23,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.findings import Cure
+from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.rows import RowBlock, SampleBlock, TimeBlock, sample_blocks
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
@@ -262,6 +263,7 @@ def accumulate_stream(
     *,
     block_seconds: float | None = None,
     threads: int | None = None,
+    beside: ColumnsBeside | None = None,
 ) -> SquareRootInformation:
     """Reduce a stream of samples to their square-root information, in bounded memory.
 
@@ -277,19 +279,22 @@ def accumulate_stream(
         beyond 256 blocks.
     threads
         Threads that share the blocks, by default one per core; the result does not depend on it.
+    beside
+        Further columns, whose inner products it gathers in the same pass.
 
     Raises
     ------
     IdentifiabilityError
         If nothing is left after filtering, or the joints differ from those of the model.
     """
-    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
-    gathered = _Gathering()
+    n_beside = beside.count if beside else 0
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + n_beside)
+    gathered = _Gathering(beside)
     pending: deque[Future[_Reduced]] = deque()
     workers = chosen_threads(threads, available_cores())
     with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
         for part in sample_blocks(model, stream, block_seconds):
-            pending.append(pool.submit(_reduced, plan, part))
+            pending.append(pool.submit(_reduced, plan, part, beside))
             gathered.seconds = max(gathered.seconds, part.seconds)
             if len(pending) > 2 * workers:
                 gathered.add(pending.popleft().result())
@@ -333,29 +338,44 @@ class _Reduced:
     factors: tuple[Array, ...]
     torque_sum: Array
     time: TimeBlock
+    products: tuple[Array, ...] = ()
 
 
-def _reduced(plan: RegressorPlan, part: SampleBlock) -> _Reduced:
+def _reduced(plan: RegressorPlan, part: SampleBlock, beside: ColumnsBeside | None) -> _Reduced:
     growing = [
         GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, part.n_outputs))
         for columns in plan.support
     ]
     torque_sum = np.zeros(plan.model.n_joints)
-    for chunk in part.chunks(plan):
+    m, q = (beside.count if beside else 0), part.samples.q
+    products = tuple(np.zeros((len(columns) + 1 + m, m)) for columns in plan.support)
+    further = None if beside is None else lambda span: beside.columns(q[span])
+    for chunk in part.chunks(plan, beside=further):
         for k, rows in enumerate(chunk):
             torque_sum[k] += rows[-1].sum()
-            growing[k].append(rows)
-    return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, part.time)
+            if m:
+                own = np.concatenate([rows[: -1 - m], rows[-1:]])
+                products[k][:] += np.concatenate([own, rows[-1 - m : -1]]) @ rows[-1 - m : -1].T
+                growing[k].append(own)
+            else:
+                growing[k].append(rows)
+    return _Reduced(
+        tuple(factor.factor() for factor in growing), torque_sum, part.time, products if m else ()
+    )
 
 
 class _Gathering:
     """Keep the blocks in order, merging neighbours if there are too many."""
 
-    def __init__(self) -> None:
+    def __init__(self, beside: ColumnsBeside | None = None) -> None:
         self.blocks: list[_Reduced] = []
         self.seconds = 0.0
+        self._beside = beside
 
     def add(self, block: _Reduced) -> None:
+        if self._beside is not None and block.products:
+            self._beside.add(block.products)
+            block = _Reduced(block.factors, block.torque_sum, block.time)
         if self.blocks and _near(self.blocks[-1].time, block.time, self.seconds):
             self.blocks[-1] = _merged(self.blocks[-1], block)
         else:

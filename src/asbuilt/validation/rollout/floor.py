@@ -36,7 +36,8 @@ LONGEST_DELAY = 0.3
 def repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Array]] | None:
     """Return the positions of pairs of windows with the same command; None if there are none.
 
-    Recordings whose windows have another number of samples than most are left out. Two lists of one array (pairs, L, n).
+    Recordings whose windows have another number of samples than most are left out. Two lists of
+    one array (pairs, L, n).
     """
     if any(each.signal.kind != "command" for each in windows):
         return None

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from typing import Literal
 
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure, Finding, ranked
@@ -18,6 +19,13 @@ from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.workflow.fleet.ledger.entry import Entry, joined_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.siblings import (
+    SIBLINGS,
+    SiblingPrior,
+    estimate_with_siblings,
+    posterior_uncertainty,
+    sibling_prior,
+)
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study
 
@@ -36,6 +44,9 @@ class FleetIdentification:
         The estimator; one that needs no more than information.
     undetermined
         Directions that no motion excites stay at CAD and are named, or are refused.
+    prior
+        `"siblings"`: the other robots of the type in the ledger are the prior (`sibling_prior`),
+        unless the robot is unlike them; the estimator is then least squares with this prior.
 
     Raises
     ------
@@ -53,6 +64,15 @@ class FleetIdentification:
     )
     undetermined: Undetermined = field(
         default="toward_prior", metadata=StudyOptions.__dataclass_fields__["undetermined"].metadata
+    )
+
+    prior: Literal["none", "siblings"] = field(
+        default="none",
+        metadata={
+            "metavar": "NAME",
+            "choices": ("none", "siblings"),
+            "help": "siblings: mean and spread of the other robots of its type, for short logs",
+        },
     )
 
     def __post_init__(self) -> None:
@@ -107,15 +127,19 @@ def fleet_identify(
     entries = opened.entries(robot_id, since, until)
     if not entries:
         raise _nothing(opened, robot_id, since, until)
-    result = identify_entries(entries, options or FleetIdentification())
+    chosen = options or FleetIdentification()
+    prior = sibling_prior(opened, robot_id, entries) if chosen.prior == "siblings" else None
+    result = identify_entries(entries, chosen, prior)
     said = [*result.findings, *mass_findings(result), *opened.findings, *_log_findings(entries)]
     return Study(result, ranked(said))
 
 
 def identify_entries(
-    entries: Sequence[Entry], options: FleetIdentification
+    entries: Sequence[Entry],
+    options: FleetIdentification,
+    prior: SiblingPrior | None = None,
 ) -> IdentificationResult:
-    """Identify a robot from entries of one type.
+    """Identify a robot from entries of one type, with a prior of its siblings if there is one.
 
     Raises
     ------
@@ -133,20 +157,29 @@ def identify_entries(
     information = joined_entries(entries, MOST_BLOCKS)
     design = design_values(settings.model, settings.base)
     data = EstimationData(settings.model, information, None, design, options.undetermined)
-    estimate = methods.find(options.method).estimate(data)
+    estimate, said = None, tuple[Finding, ...]()
+    if prior is not None:
+        estimate, said = estimate_with_siblings(entries[0].robot_id, information, prior)
+    if estimate is None:
+        estimate = methods.find(options.method).estimate(data)
     first, last = entries[0], entries[-1]
     return conclude(
         settings.model,
         information,
         estimate,
         rate=first.rate,
-        uncertainty=block_uncertainty(estimate.information or information, estimate),
+        uncertainty=(
+            posterior_uncertainty(information, estimate, prior)
+            if prior is not None and estimate.method == SIBLINGS
+            else block_uncertainty(estimate.information or information, estimate)
+        ),
         provenance=(
             f"{len(entries)} logs of {first.robot_id} from {first.date:%Y-%m-%d} to"
             f" {last.date:%Y-%m-%d}, kept as information in a ledger",
             *settings.chosen,
         ),
         chain=settings.chain,
+        findings=said,
         digests=tuple(entry.source_sha256[:16] for entry in entries),
     )
 

@@ -45,7 +45,7 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     """
     found = as_built_parameters(result, nearest)
     robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
-    robot = _with_servo(robot, result.servo)
+    robot = with_servo(robot, result.servo)
     sources = ", ".join(result.sources)
     note = f"identified ({result.method}) from {sources}; {found.verdict}"
     return AsBuilt(
@@ -54,7 +54,7 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     )
 
 
-def _with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
+def with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
     """Return the robot with the gains and torque limits of a servo, if there is one."""
     if servo is None:
         return robot

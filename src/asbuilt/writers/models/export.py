@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
-from asbuilt.writers.files import file_lines, path_texts
+from asbuilt.writers.files import atomic_write, file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     AsBuilt,
     as_built,
@@ -31,6 +32,7 @@ from asbuilt.writers.models.c.observer_files import write_observer
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.physical import refuse_inconsistent_result, refuse_poor_nearest_model
 from asbuilt.writers.models.robot_toml import write_robot_toml
+from asbuilt.writers.models.simulators.simulator_format import ExportedDrives, simulator_format
 from asbuilt.writers.models.urdf import write_urdf
 
 Place = str | os.PathLike[str]
@@ -93,6 +95,7 @@ def export_result(
     original: Place | None = None,
     nearest: bool = False,
     force: bool = False,
+    simulators: Mapping[str, Place] | None = None,
 ) -> Export:
     """Write the identified robot into the files named.
 
@@ -115,6 +118,8 @@ def export_result(
         model: that with the least torque difference on the data used.
     force
         Write the nearest consistent model however large its error.
+    simulators
+        Files to write by simulator format (`SIMULATOR_FORMATS`), such as `"isaac-lab"`.
 
     Returns
     -------
@@ -129,8 +134,9 @@ def export_result(
     UsageError
         If no file is named, or options do not go together.
     """
+    formats = {simulator_format(key): place for key, place in (simulators or {}).items()}
     models = (urdf, mjcf, toml, c)
-    if all(place is None for place in (*models, observer)):
+    if all(place is None for place in (*models, observer)) and not formats:
         files_to_name = dict.fromkeys(("urdf", "mjcf", "toml", "c", "observer"), "FILE")
         raise UsageError(
             "no file to export is named", cure=Cure("name at least one", files_to_name)
@@ -151,7 +157,7 @@ def export_result(
             cure=Cure("name it", {"observer": "FILE"}),
         )
     watching = {} if observer is None else _observer(observer, result, thresholds)
-    if all(place is None for place in models):
+    if all(place is None for place in models) and not formats:
         return Export(result.robot, "the identified parameters", watching, {})
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
@@ -173,13 +179,17 @@ def export_result(
     if urdf is not None:
         edited, missing = urdf_to_edit(result.model, original)
         files["urdf"], said = write_urdf(urdf, in_simulators, original=edited)
-        notes["urdf"] = (*missing, *said, *kept)
+        notes["urdf"] = (*missing, *said, *kept, *delay_notes(result, "urdf"))
     if mjcf is not None:
         files["mjcf"], said = write_mjcf(mjcf, in_simulators)
-        notes["mjcf"] = (*said, *kept)
+        notes["mjcf"] = (*said, *kept, *delay_notes(result, "mjcf"))
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = load
+    for written, place in formats.items():
+        text, said = written.document(ExportedDrives(in_simulators, result), Path(place))
+        files[written.key] = atomic_write(place, text)
+        notes[written.key] = (*said, *kept)
     said_of = {kind: said for kind, said in notes.items() if said}
     return Export(
         result.robot,
@@ -237,6 +247,22 @@ def urdf_to_edit(
         )
         return None, (said,)
     return None, ()
+
+
+def delay_notes(result: IdentificationResult, kind: Literal["mjcf", "urdf"]) -> tuple[str, ...]:
+    """Return what a model file cannot hold of the servo of a result."""
+    servo = result.servo
+    if servo is None:
+        return ()
+    notes = []
+    if servo.delay:
+        notes.append(
+            f"{kind.upper()} has no place for the delay of the servo: give the simulator each"
+            f" command {1e3 * servo.delay:.3g} ms later"
+        )
+    if kind == "urdf":
+        notes.append("URDF has no place for the gains of the servo")
+    return tuple(notes)
 
 
 def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:

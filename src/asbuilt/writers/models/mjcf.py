@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, fromstring, inde
 import numpy as np
 
 from asbuilt.description.formats.mjcf_text import mjcf_text
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import Joint, RobotModel
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_inconsistent
 
@@ -25,7 +25,9 @@ def exported_mjcf(model: RobotModel) -> str:
     Armature, viscous and dry friction are the joint's; asymmetric dry friction is symmetric
     friction and an offset, smooth friction a dry one; a spring is the joint's stiffness; a motor
     that several joints turn is a fixed tendon with damping, dry friction and armature; an offset is
-    the bias of the joint's actuator, whose control is the torque that the drive has to exert.
+    the bias of the joint's actuator, whose control is the torque that the drive has to exert. A
+    joint whose drive has gains gets a position actuator with them, its control the commanded
+    position, and the integrator treats its damping implicitly.
     MuJoCo's dry friction grows with speed and acceleration up to its full size; where the joint
     moves faster than `|qdd|` times a millisecond, inverse dynamics holds all of it.
 
@@ -44,16 +46,38 @@ def exported_mjcf(model: RobotModel) -> str:
             element.attrib.update(_dry_friction(joint.drive.coulomb))
         if stiffness := joint.drive.terms.get("spring", {}).get("Ks"):
             element.attrib.update(stiffness=repr(stiffness), springref="0")
-    for motor, joint in zip(root.iter("motor"), plain.joints, strict=True):
-        if offset := joint.drive.offset:
+    for motor, joint in zip([*root.iter("motor")], plain.joints, strict=True):
+        if joint.drive.kp is not None:
+            _as_servo(motor, elements[joint.name], joint)
+        elif offset := joint.drive.offset:
             motor.tag = "general"
             motor.attrib.update(biastype="affine", biasprm=f"{-offset!r} 0 0")
+    if any(joint.drive.kp is not None for joint in plain.joints):
+        next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
     _add_mimics(root, model)
     for place, note in enumerate((*model.notes, *mjcf_notes(model))):
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
+
+
+def _as_servo(actuator: Element, element: Element, joint: Joint) -> None:
+    """Make a position actuator of a motor: `clip(kp (u - q) - kd qd, -limit, limit) - Fo`."""
+    kp, kd, offset = joint.drive.kp or 0.0, joint.drive.kd or 0.0, joint.drive.offset or 0.0
+    limit = joint.limits.torque
+    actuator.attrib.pop("ctrlrange", None)
+    element.attrib.pop("actuatorfrcrange", None)
+    if offset:
+        actuator.tag = "general"
+        actuator.attrib.update(
+            gainprm=repr(kp), biastype="affine", biasprm=f"{-offset!r} {-kp!r} {-kd!r}"
+        )
+    else:
+        actuator.tag = "position"
+        actuator.attrib.update(kp=repr(kp), kv=repr(kd))
+    if np.isfinite(limit):
+        actuator.set("forcerange", f"{-limit - offset!r} {limit - offset!r}")
 
 
 def _add_motors(root: Element, model: RobotModel) -> None:

@@ -51,6 +51,7 @@ SCHEMA: dict[str, Any] = {
     "torque_sum": pl.Float64,
     "columns": pl.List(pl.Int16),
     "factor": pl.List(pl.Float64),
+    "tilt": pl.List(pl.Float64),
     "covariates": pl.List(pl.Struct({"name": pl.String, "value": pl.Float64})),
     "warnings": pl.List(pl.String),
     "software": pl.String,
@@ -141,6 +142,9 @@ class Entry:
         name, NaN where there is none.
     warnings
         Codes of findings of the log.
+    tilt
+        Inner products `[W_k | tau_k | T_k]^T T_k` (p_k + 3, 2) of each joint k, with the torques T
+        of two base tilts by a radian (`ColumnsBeside`); empty if the entry has none.
     """
 
     robot_id: str
@@ -154,6 +158,7 @@ class Entry:
     rate: float
     covariates: Mapping[str, Array]
     warnings: tuple[str, ...] = ()
+    tilt: tuple[Array, ...] = ()
 
     @cached_property
     def whole(self) -> SquareRootInformation:
@@ -227,6 +232,8 @@ def _frame(entry: Entry) -> pl.DataFrame:
                 rows["torque_sum"].append(information.torque_sum[b, k])
                 rows["columns"].append(information.support[k].tolist())
                 rows["factor"].append(factor[np.triu_indices(len(factor))].tolist())
+                products = entry.tilt[k].ravel().tolist() if first == WHOLE and entry.tilt else None
+                rows["tilt"].append(products)
                 rows["covariates"].append(_covariates(entry, first, b, k))
     fixed = {
         "robot_id": entry.robot_id,
@@ -282,6 +289,7 @@ def _entry(frame: pl.DataFrame, settings: TypeSettings) -> Entry:
         rate=row["rate"],
         covariates=_stored_covariates(frame[n:], information),
         warnings=tuple(row["warnings"]),
+        tilt=_stored_tilt(frame[:n], settings),
     )
     entry.__dict__["whole"] = _information(frame[:n], settings, source)
     return entry
@@ -311,6 +319,16 @@ def _information(frame: pl.DataFrame, settings: TypeSettings, source: str) -> Sq
         tuple(factors),
         frame["torque_sum"].to_numpy().reshape(n_blocks, len(joints)).copy(),
         tuple(TimeBlock(source, *each) for each in times),
+    )
+
+
+def _stored_tilt(frame: pl.DataFrame, settings: TypeSettings) -> tuple[Array, ...]:
+    stored = frame["tilt"].to_list() if "tilt" in frame.columns else []
+    if not stored or any(each is None for each in stored):
+        return ()
+    return tuple(
+        np.array(each, dtype=np.float64).reshape(len(columns) + 3, 2)
+        for each, columns in zip(stored, settings.plan.support, strict=True)
     )
 
 

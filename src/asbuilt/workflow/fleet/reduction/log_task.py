@@ -27,6 +27,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.rows import LONGEST_BLOCK
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -150,7 +151,8 @@ def reduced_entry(
     codes = _checked(settings, beginning) if task.checked else ()
     prepared = prepare(settings.model, [logged], chain=settings.chain, checked=False)
     samples = prepared.training[0]
-    information = reduced_samples(settings, samples)
+    tilts = ColumnsBeside.tilts(settings.model)
+    information = reduced_samples(settings, samples, tilts)
     entry = Entry(
         robot_id=task.robot_id,
         settings=settings,
@@ -163,6 +165,7 @@ def reduced_entry(
         rate=samples.parallel.output_rate if samples.parallel else samples.rate,
         covariates=block_covariates(head, information),
         warnings=codes,
+        tilt=tuple(tilts.products),
     )
     return entry, other_settings(task, settings, beginning)
 
@@ -180,7 +183,9 @@ def _read(task: LogTask, settings: TypeSettings) -> tuple[RobotModel, Recording 
     return model, read[0]
 
 
-def reduced_samples(settings: TypeSettings, samples: Samples) -> SquareRootInformation:
+def reduced_samples(
+    settings: TypeSettings, samples: Samples, beside: ColumnsBeside | None = None
+) -> SquareRootInformation:
     """Return the information of samples in about `BLOCKS` time blocks or fewer, by one thread."""
     seconds = samples.duration / BLOCKS
     information = accumulate_stream(
@@ -189,6 +194,7 @@ def reduced_samples(settings: TypeSettings, samples: Samples) -> SquareRootInfor
         (samples,),
         block_seconds=seconds if seconds > LONGEST_BLOCK else None,
         threads=1,
+        beside=beside,
     )
     return merged_blocks(information, 2 * BLOCKS)
 

@@ -1,0 +1,1 @@
+"""Draws of a robot from the uncertainty of a result."""

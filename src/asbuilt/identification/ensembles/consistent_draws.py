@@ -1,0 +1,77 @@
+"""Physically consistent standard parameters for many draws of base parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.bodies.body_bounds import generous_bounds
+from asbuilt.identification.bodies.cad_prior import CadPrior
+from asbuilt.identification.bodies.entropic_fit import Coordinates
+from asbuilt.identification.bodies.entropic_path import DESCENT, EntropicPath
+from asbuilt.identification.bodies.plausible import WEAKEST
+from asbuilt.identification.information.triangular import triangular_factor
+
+FAITHFUL = 0.01
+"""Chi-square of a fit from its draw, a tenth of a standard error, that changes no distribution."""
+
+
+def consistent_draws(
+    cad: CadPrior, base: BaseParameters, drawn: Array, information_root: Array
+) -> tuple[Array, Array]:
+    """Return the consistent parameters next to many draws, and their chi-squares.
+
+    Draw i is `min |R (K chi - beta_i)|^2 / 2 + weight D(chi || CAD)` with the largest weight of CAD
+    at which no draw moves by more than a tenth of a standard error. Where physics does not allow
+    a draw (a negative friction, an impossible link), the nearest possible one takes its place.
+    What the recordings do not determine stays that of CAD.
+
+    Parameters
+    ----------
+    cad, base
+        CAD values, and the base parameters.
+    drawn
+        Base parameters (N, p).
+    information_root
+        R (r, p) with `R^T R` the inverse covariance.
+
+    Returns
+    -------
+    tuple
+        Standard parameters (N, n_standard), and chi-squares `|R (K chi - beta_i)|^2` (N,).
+
+    Raises
+    ------
+    IdentifiabilityError
+        If no fit converges.
+    """
+    factors = np.stack([_factor(information_root, beta) for beta in drawn])
+    weights = [*DESCENT]
+    while weights[-1] > WEAKEST * 1.5:
+        weights.append(weights[-1] / 10.0)
+    found = None
+    with one_blas_thread():
+        path = EntropicPath.of(cad, Coordinates.of(base), generous_bounds(cad))
+        for weight in weights:
+            try:
+                chi = path.roughly(factors, weight)
+            except IdentifiabilityError:
+                continue
+            moved = (chi @ base.regrouping.T - drawn) @ information_root.T
+            found = chi, np.einsum("ij,ij->i", moved, moved)
+            if np.max(found[1]) <= FAITHFUL:
+                break
+    if found is None:
+        raise IdentifiabilityError(
+            f"no physically consistent parameters of {base.robot} were found for the draws"
+        )
+    return found
+
+
+def _factor(root: Array, beta: Array) -> Array:
+    """Return the triangular factor of [R | R beta], shape (p + 1, p + 1)."""
+    rows = np.column_stack([root, root @ beta])
+    return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))

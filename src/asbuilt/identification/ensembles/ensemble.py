@@ -1,0 +1,219 @@
+"""Draws of a robot from the joint uncertainty of its result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.parameters import parameter_names, parameter_units
+from asbuilt.errors import InertiaError, UsageError
+from asbuilt.findings import Cure, joined
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.ensembles.consistent_draws import consistent_draws
+from asbuilt.identification.information.known_information import determined_directions
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
+from asbuilt.identification.result.result import IdentificationResult
+
+Seed = np.random.Generator | int | None
+QUANTILES = (0.05, 0.5, 0.95)
+"""Quantiles of the range of a parameter."""
+MOST = 100_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ensemble:
+    """Hold N robots that a result allows, equally probable.
+
+    Attributes
+    ----------
+    result
+        The result.
+    parameters
+        Standard parameters of the links and drives, shape (N, n_standard).
+    centre
+        The same of the estimates themselves, made as every draw is, shape (n_standard,).
+    kp, kd
+        Gains of the position servo (N, n); None without one.
+    delay
+        Delay of the servo [s], shape (N,); None without one.
+    chi_square
+        Squared distance (N,) of each robot from the draw that it stands for, in standard errors:
+        large where the draw was physically impossible.
+    notes
+        What the draws leave out.
+    """
+
+    result: IdentificationResult
+    parameters: Array
+    centre: Array
+    kp: Array | None
+    kd: Array | None
+    delay: Array | None
+    chi_square: Array
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns of `table`: `Ixx1 ... m1 ... Ia1 Fv1 ... kp1 ... delay`."""
+        model, base = self.result.model, self.result.base
+        numbers = range(1, model.n_joints + 1)
+        servo = (*(f"kp{k}" for k in numbers), *(f"kd{k}" for k in numbers), "delay")
+        return (*parameter_names(model, base.drive), *(servo if self.kp is not None else ()))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the columns of `table`."""
+        model, base = self.result.model, self.result.base
+        turning = [joint.is_revolute for joint in model.joints]
+        servo = (
+            *("N m/rad" if each else "N/m" for each in turning),
+            *("N m s/rad" if each else "N s/m" for each in turning),
+            "s",
+        )
+        return (*parameter_units(model, base.drive), *(servo if self.kp is not None else ()))
+
+    @property
+    def table(self) -> Array:
+        """Every parameter of every robot, shape (N, columns)."""
+        if self.kp is None or self.kd is None or self.delay is None:
+            return self.parameters
+        return np.column_stack([self.parameters, self.kp, self.kd, self.delay])
+
+    @property
+    def middle(self) -> Array:
+        """The same of the estimates themselves, shape (columns,)."""
+        servo = self.result.servo
+        if servo is None or self.kp is None:
+            return self.centre
+        gains = np.nan_to_num(np.concatenate([servo.kp, servo.kd]))
+        return np.concatenate([self.centre, gains, [servo.delay or 0.0]])
+
+    @property
+    def quantiles(self) -> Array:
+        """The 5, 50 and 95 % quantiles of each column, shape (3, columns)."""
+        return np.asarray(np.quantile(self.table, QUANTILES, axis=0))
+
+    @property
+    def moved(self) -> int:
+        """Number of draws that were physically impossible, so that the nearest robot stands in."""
+        return int(np.sum(self.chi_square > 1.0))
+
+    def servo(self, draw: int) -> PositionServo | None:
+        """Return the position servo of a robot; None without one."""
+        servo = self.result.servo
+        if servo is None or self.kp is None or self.kd is None or self.delay is None:
+            return None
+        return replace(
+            servo,
+            kp=tuple(self.kp[draw].tolist()),
+            kd=tuple(self.kd[draw].tolist()),
+            delay=float(self.delay[draw]),
+        )
+
+
+def draw_ensemble(result: IdentificationResult, n: int, *, rng: Seed = None) -> Ensemble:
+    """Draw robots from the joint uncertainty of a result.
+
+    Base parameters are drawn from `N(estimates, covariance)`; a stiffness of a servo that was
+    identified is drawn with its error, and parameters follow the torque scale that it gives: all of
+    them if the joints share one stiffness, else those of the joint's drive, since the links have
+    their scale from CAD. The delay is drawn with its error. Every draw becomes a physically
+    consistent robot (`consistent_draws`), with friction and armature not below zero.
+
+    Parameters
+    ----------
+    result
+        The identified robot.
+    n
+        Number of robots.
+    rng
+        Seed or generator.
+
+    Raises
+    ------
+    UsageError
+        If n is not from 1 to 100 000, or the result has dropped parameters, without errors.
+    InertiaError
+        If the identified parameters are physically inconsistent.
+    """
+    if not 1 <= n <= MOST:
+        raise UsageError(f"an ensemble has 1 to {MOST} robots, got {n}", value=n)
+    if np.any(result.dropped):
+        raise UsageError(
+            f"the method {result.method!r} set parameters to zero and gives them no errors to draw"
+            " from",
+            cure=Cure("identify with a method that keeps all parameters", {"method": "auto"}),
+        )
+    if not as_built_parameters(result).consistent:
+        raise InertiaError(
+            f"no ensemble of {result.robot} is drawn: its parameters are physically inconsistent",
+            cure=Cure("identify with physical consistency", {"method": "consistent"}),
+        )
+    random = np.random.default_rng(rng)
+    scale, variances, directions = determined_directions(result)
+    size = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    drawn = result.estimates + size * (
+        random.normal(size=(n, len(variances))) * np.sqrt(variances) @ directions.T
+    )
+    kp, kd, delay, notes = None, None, None, list[str]()
+    if result.servo is not None:
+        kp, factors, notes = _stiffness(result, n, random)
+        drawn = _following(result, drawn, factors)
+        kd = np.tile(np.nan_to_num(np.array(result.servo.kd)), (n, 1))
+        error = 0.0 if result.servo_errors is None else result.servo_errors.delay
+        delay = np.maximum((result.servo.delay or 0.0) + error * random.normal(size=n), 0.0)
+    root = (directions / np.sqrt(variances)).T * scale
+    prior = cad_prior(result.model, result.base.drive)
+    asked = np.vstack([result.estimates, drawn])
+    chi, chi_square = consistent_draws(prior, result.base, asked, root)
+    centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
+    if any(term.nonlinear for term in result.base.drive.terms):
+        notes.append("nonlinear parameters of drive terms are the identified ones in every draw")
+    if np.any(far := chi_square > 1.0):
+        notes.append(
+            f"{np.sum(far)} of {n} draws were physically impossible; the nearest possible robot"
+            " stands for each"
+        )
+    return Ensemble(result, chi, centre, kp, kd, delay, chi_square, tuple(notes))
+
+
+def _stiffness(
+    result: IdentificationResult, n: int, random: np.random.Generator
+) -> tuple[Array, Array, list[str]]:
+    """Return stiffnesses (N, n_joints), their factors, and notes."""
+    servo, errors = result.servo, result.servo_errors
+    if servo is None:
+        raise ValueError("the result has no servo")
+    kp, joints = np.nan_to_num(np.array(servo.kp)), result.model.n_joints
+    own = np.zeros(joints) if errors is None or not errors.kp else np.array(errors.kp)
+    relative = np.divide(own, kp, out=np.zeros(joints), where=kp > 0)
+    unknown = ~np.isfinite(relative)
+    relative[unknown] = 0.0
+    shared = errors is not None and errors.shared
+    logs = relative * random.normal(size=(n, 1 if shared else joints))
+    factors = np.exp(logs)
+    notes = []
+    if np.any(unknown):
+        names = [name for name, each in zip(result.joint_names, unknown, strict=True) if each]
+        notes.append(
+            f"the stiffness of the servo of {joined(names)} is undetermined: every draw has the"
+            " same one, and only ratios to it mean something"
+        )
+    return kp * factors, factors, notes
+
+
+def _following(result: IdentificationResult, drawn: Array, factors: Array) -> Array:
+    """Return draws of base parameters that follow the torque scale of the joints."""
+    if np.all(factors == factors[:, :1]):
+        return drawn * factors[:, :1]
+    columns, links = np.asarray(result.base.columns), 10 * result.model.n_joints
+    scaled, of_drive = drawn.copy(), columns >= links
+    joints = (columns[of_drive] - links) // result.base.drive.columns_per_joint
+    scaled[:, of_drive] *= factors[:, joints]
+    return scaled

@@ -1,0 +1,1 @@
+"""Calibration with known or unknown payloads, and of motors against sensors."""

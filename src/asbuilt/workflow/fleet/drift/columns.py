@@ -1,0 +1,147 @@
+"""Columns in which a robot may change: base parameters, torque gains and base tilts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.workflow.fleet.drift.days import Day
+
+if TYPE_CHECKING:
+    from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+
+TILTS = 2
+UNDETERMINED = 1e-9
+"""Weight, in the mean information of a column, of what keeps an undetermined direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class FleetColumns:
+    """Describe the columns of a robot type: p base parameters, n torque gains, two base tilts.
+
+    A change x (p + n + 2,) of them changes the torque of joint k by `W_k x_W + tau_k x_gain,k +
+    T_k x_tilt`, to first order.
+
+    Parameters
+    ----------
+    base
+        The base parameters.
+    support
+        Base parameters of each joint's columns.
+    joint_names, joint_units
+        Names of the joints, and N m or N.
+    """
+
+    base: BaseParameters
+    support: tuple[Indices, ...]
+    joint_names: tuple[str, ...]
+    joint_units: tuple[str, ...]
+
+    @classmethod
+    def of(cls, settings: TypeSettings) -> FleetColumns:
+        """Return the columns of a type of a ledger."""
+        units = tuple(
+            "N" if joint.kind == "prismatic" else "N m" for joint in settings.model.joints
+        )
+        return cls(settings.base, tuple(settings.plan.support), settings.model.joint_names, units)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.support)
+
+    @property
+    def size(self) -> int:
+        """Number of columns, p + n + 2."""
+        return self.base.n_base + self.n_joints + TILTS
+
+    @cached_property
+    def gains(self) -> slice:
+        """Places of the gains."""
+        return slice(self.base.n_base, self.base.n_base + self.n_joints)
+
+    def map_to(self, joint: int, beta: Array, with_tilt: bool) -> Array:
+        """Return L with `[columns | error] = [W_k | tau_k | T_k] L` about the parameters beta.
+
+        The error is `tau_k - W_k beta`, last; L has shape (p_k + 1 or p_k + 3, size + 1).
+        """
+        places = self.support[joint]
+        m, p = len(places), self.base.n_base
+        L = np.zeros((m + 1 + (TILTS if with_tilt else 0), self.size + 1))
+        L[np.arange(m), places] = 1.0
+        L[:m, p + joint] = beta[places]
+        L[:m, -1] = -beta[places]
+        L[m, -1] = 1.0
+        if with_tilt:
+            L[m + 1 :, p + self.n_joints : -1] = np.eye(TILTS)
+        return L
+
+    def information(
+        self,
+        grams: Sequence[Array],
+        beta: Array,
+        weights: Array,
+        basis: Array | None = None,
+    ) -> Array:
+        """Return the Gram matrix of all joints' weighted columns (times `basis`) and the error."""
+        wider = None if basis is None else _with_error(basis)
+        size = self.size + 1 if wider is None else wider.shape[1]
+        total = np.zeros((size, size))
+        for k, gram in enumerate(grams):
+            L = self.map_to(k, beta, len(gram) > len(self.support[k]) + 1)
+            if wider is not None:
+                L = L @ wider
+            total += weights[k] ** 2 * (L.T @ gram @ L)
+        return total
+
+    def energies(self, grams: Sequence[Array], x: Array, beta: Array) -> Array:
+        """Return the sum of squares of the torque that a change x makes at each joint, (n,)."""
+        found = np.empty(self.n_joints)
+        for k, gram in enumerate(grams):
+            L = self.map_to(k, beta, len(gram) > len(self.support[k]) + 1)
+            y = L[:, :-1] @ x
+            found[k] = max(float(y @ gram @ y), 0.0)
+        return found
+
+    def fit(self, grams: Sequence[Array], weights: Array, toward: Array) -> Array:
+        """Return the base parameters by weighted least squares, undetermined ones `toward`."""
+        p = self.base.n_base
+        A, b = np.zeros((p, p)), np.zeros(p)
+        for k, gram in enumerate(grams):
+            places, w = self.support[k], weights[k] ** 2
+            m = len(places)
+            A[np.ix_(places, places)] += w * gram[:m, :m]
+            b[places] += w * gram[:m, m]
+        size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
+        A = A / np.outer(size, size) + UNDETERMINED * np.eye(p)
+        return np.asarray(np.linalg.solve(A, b / size + UNDETERMINED * toward * size) / size)
+
+    def residual_energy(self, grams: Sequence[Array], beta: Array) -> Array:
+        """Return `|tau_k - W_k beta|^2` of every joint, (n,)."""
+        found = np.empty(self.n_joints)
+        for k, gram in enumerate(grams):
+            v = np.append(-beta[self.support[k]], 1.0)
+            found[k] = max(float(v @ gram[: len(v), : len(v)] @ v), 0.0)
+        return found
+
+
+def _with_error(basis: Array) -> Array:
+    wider = np.zeros((basis.shape[0] + 1, basis.shape[1] + 1))
+    wider[:-1, :-1] = basis
+    wider[-1, -1] = 1.0
+    return wider
+
+
+def summed(days: Sequence[Day]) -> tuple[Array, ...]:
+    """Return the Gram matrices of several days together."""
+    found = []
+    for parts in zip(*(day.grams for day in days), strict=True):
+        size = min(len(part) for part in parts)
+        found.append(np.sum([part[:size, :size] for part in parts], axis=0))
+    return tuple(found)

@@ -1,0 +1,131 @@
+"""Directions of a robot type that a day of motion determines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.workflow.fleet.drift.columns import FleetColumns, summed
+from asbuilt.workflow.fleet.drift.days import Day
+from asbuilt.workflow.fleet.drift.sources import usual_changes
+
+
+@dataclass(frozen=True, slots=True)
+class DirectionRules:
+    """Say which directions are kept; own choices, on virtual fleets of two types.
+
+    `weakest` is the least size of a usual change along a direction in standard errors of a day;
+    `most` directions; `days_each` is the least number of days of the fleet for each;
+    `days_of_noise` of each robot give the noise.
+    """
+
+    weakest: float = 1.0
+    most: int = 32
+    days_each: float = 4.0
+    iterations: int = 4
+    days_of_noise: int = 4
+
+
+RULES = DirectionRules()
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Hold r directions in the columns of a robot type, scaled to a mean information of 1 a day.
+
+    Parameters
+    ----------
+    columns
+        The columns of the type.
+    weights
+        Factors of the rows of each joint (n,): 1 / noise.
+    basis
+        The directions, (size, r).
+    beta
+        Base parameters of the type, toward which undetermined directions are resolved (p,).
+    """
+
+    columns: FleetColumns
+    weights: Array
+    basis: Array
+    beta: Array
+
+    @property
+    def count(self) -> int:
+        """Number of directions r."""
+        return int(self.basis.shape[1])
+
+    def reference(self, days: Sequence[Day]) -> Array:
+        """Return the base parameters of a robot by all its days."""
+        return self.columns.fit(summed(days), self.weights, self.beta)
+
+    def scores(self, days: Sequence[Day], beta: Array) -> tuple[Array, Array]:
+        """Return information (d, r, r) and score (d, r) of each day about a robot's parameters."""
+        grams = np.array(
+            [self.columns.information(day.grams, beta, self.weights, self.basis) for day in days]
+        )
+        return grams[:, :-1, :-1], grams[:, :-1, -1]
+
+
+def find_directions(columns: FleetColumns, robots: Sequence[Sequence[Day]]) -> Directions:
+    """Return the directions in which the days of some robots of a type have information.
+
+    They are those along which usual changes of the sources are largest in standard errors of a
+    day: with the mean information J of a day and changes F, the principal axes of `J^1/2 F`, scaled
+    to `Q^T J Q = 1`. The noise of a joint is the
+    median over days of its RMS residual about a fit of that day alone.
+    """
+    totals = [summed(days) for days in robots]
+    samples = np.array([sum(day.n_samples for day in days) for days in robots], dtype=float)
+    zero = np.zeros(columns.base.n_base)
+    weights = 1.0 / np.maximum(_rms(columns, totals, samples, [zero] * len(totals)), 1e-300)
+    floor = 1e-9 / float(weights.min())
+    beta, own = zero, [zero] * len(totals)
+    for _ in range(RULES.iterations):
+        own = [columns.fit(grams, weights, zero) for grams in totals]
+        weights = 1.0 / np.maximum(_noise(columns, robots, weights, own), floor)
+    beta = np.median(own, axis=0)
+    n_days = sum(len(days) for days in robots)
+    J = np.zeros((columns.size, columns.size))
+    for grams, values in zip(totals, own, strict=True):
+        J += columns.information(grams, values, weights)[:-1, :-1] / n_days
+    J += 1e-12 * np.diag(np.diag(J))
+    changes = usual_changes(columns, J, beta)
+    length = np.sqrt(np.maximum(np.diag(J), 1e-300))
+    values, axes = np.linalg.eigh(J / np.outer(length, length))
+    root = (axes * np.sqrt(np.maximum(values, 0.0))).T * length
+    _, sizes, right = np.linalg.svd(root @ changes, full_matrices=False)
+    most = min(RULES.most, max(3, int(n_days / RULES.days_each)))
+    kept = np.flatnonzero(sizes >= min(RULES.weakest, sizes[0]))[:most]
+    basis = changes @ right[kept].T / sizes[kept]
+    return Directions(columns, weights, basis, beta)
+
+
+def _noise(
+    columns: FleetColumns,
+    robots: Sequence[Sequence[Day]],
+    weights: Array,
+    betas: Sequence[Array],
+) -> Array:
+    """Return the median RMS residual of each joint about fits of single days, (n,)."""
+    found = []
+    spent = columns.base.n_base / columns.n_joints
+    for days, toward in zip(robots, betas, strict=True):
+        for day in days[:: max(1, len(days) // RULES.days_of_noise)]:
+            own = columns.fit(day.grams, weights, toward)
+            freedom = max(day.n_samples - spent, 0.1 * day.n_samples)
+            found.append(np.sqrt(columns.residual_energy(day.grams, own) / freedom))
+    return np.asarray(np.median(found, axis=0))
+
+
+def _rms(
+    columns: FleetColumns,
+    totals: Sequence[Sequence[Array]],
+    samples: Array,
+    betas: Sequence[Array],
+) -> Array:
+    energies = [columns.residual_energy(grams, b) for grams, b in zip(totals, betas, strict=True)]
+    return np.asarray(np.median(np.sqrt(np.array(energies) / samples[:, None]), axis=0))

@@ -1,0 +1,464 @@
+"""Which robots of a fleet changed, when, what and how large."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.errors import UsageError
+from asbuilt.findings import Finding, ranked
+from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
+from asbuilt.validation.comparison.significance import benjamini_hochberg
+from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
+from asbuilt.workflow.fleet.drift.columns import FleetColumns
+from asbuilt.workflow.fleet.drift.days import Day, by_day, day_of
+from asbuilt.workflow.fleet.drift.directions import Directions, find_directions
+from asbuilt.workflow.fleet.drift.explanation import SourceChange, explain_change
+from asbuilt.workflow.fleet.drift.variation import History, Variation, estimate_variation
+from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+
+EXAMPLES = 40
+"""Robots of a type from which its noise and directions are found."""
+FEWEST_DAYS = SCAN.before + SCAN.after
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetDriftOptions:
+    """Configure `fleet_drift`.
+
+    Parameters
+    ----------
+    false_discovery_rate
+        Share of the robots named that are expected not to have changed.
+
+    Raises
+    ------
+    UsageError
+        If it is not between 0 and 1.
+    """
+
+    false_discovery_rate: float = field(
+        default=FALSE_DISCOVERY_RATE,
+        metadata={
+            "metavar": "SHARE",
+            "help": "share of the robots named that may not have changed",
+        },
+    )
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.false_discovery_rate < 1.0:
+            raise UsageError(
+                f"a false discovery rate of {self.false_discovery_rate:g} is not between 0 and 1",
+                value=self.false_discovery_rate,
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotDrift:
+    """Hold whether a robot changed.
+
+    Parameters
+    ----------
+    id, robot_type
+        The robot.
+    n_logs, first, last
+        Number of its logs and dates of the first and the last.
+    changed
+        Whether it changed, at the false discovery rate of the fleet.
+    when
+        Date of the first log after the change; None if it did not change.
+    p_value
+        Probability of so large a change by natural variation; None with too few days.
+    false_discovery
+        Rate at which it would be the last robot to be named.
+    what
+        Sources of the change, the one with the most torque first.
+    days, distances
+        Each day and its distance from the robot's reference, RMS over the directions in units of
+        natural variation: 1 is usual.
+    """
+
+    id: str
+    robot_type: str
+    n_logs: int
+    first: str
+    last: str
+    changed: bool
+    when: str | None
+    p_value: float | None
+    false_discovery: float | None
+    what: tuple[SourceChange, ...]
+    days: tuple[str, ...]
+    distances: tuple[float, ...]
+
+    def as_document(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            "id": self.id,
+            "robot_type": self.robot_type,
+            "n_logs": self.n_logs,
+            "first": self.first,
+            "last": self.last,
+            "changed": self.changed,
+            "when": self.when,
+            "p_value": self.p_value,
+            "false_discovery": self.false_discovery,
+            "what": [asdict(each) for each in self.what],
+            "days": list(self.days),
+            "distances": list(self.distances),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TypeVariation:
+    """Hold the natural variation of a robot type.
+
+    Parameters
+    ----------
+    robot_type
+        The type.
+    n_robots, n_days
+        Robots and days behind it.
+    n_directions
+        Directions that a day of motion determines.
+    autocorrelation
+        Of neighbouring days.
+    torque, torque_units
+        RMS torque of the variation at each joint, N m or N.
+    """
+
+    robot_type: str
+    n_robots: int
+    n_days: int
+    n_directions: int
+    autocorrelation: float
+    torque: tuple[float, ...]
+    torque_units: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetDrift:
+    """Hold which robots of a fleet changed; those that changed first, the surest before."""
+
+    ledger: str
+    since: str | None
+    robots: tuple[RobotDrift, ...]
+    types: tuple[TypeVariation, ...]
+    false_discovery_rate: float
+    findings: tuple[Finding, ...]
+
+    @property
+    def changed(self) -> tuple[RobotDrift, ...]:
+        """The robots that changed."""
+        return tuple(each for each in self.robots if each.changed)
+
+    def as_document(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            "ledger": self.ledger,
+            "since": self.since,
+            "robots": [each.as_document() for each in self.robots],
+            "types": [
+                asdict(each)
+                | {"torque": list(each.torque), "torque_units": list(each.torque_units)}
+                for each in self.types
+            ],
+            "false_discovery_rate": self.false_discovery_rate,
+            "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
+            "findings": [each.as_dict() for each in self.findings],
+        }
+
+
+def fleet_drift(
+    ledger: Ledger | str | Path,
+    *,
+    since: datetime | None = None,
+    options: FleetDriftOptions | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> FleetDrift:
+    """Find the robots of a fleet that changed.
+
+    Each robot is compared with itself before. Natural variation from day to day is estimated from
+    all robots of its type, so the false discovery rate holds over the fleet (Benjamini & Hochberg,
+    1995).
+
+    Parameters
+    ----------
+    ledger
+        A ledger, its folder or URL.
+    since
+        Look for changes on this date or later; None: at any time. Earlier logs are the reference.
+    options
+        How to look.
+    progress
+        Called with a text and the fraction done.
+
+    Raises
+    ------
+    UsageError
+        If there is no ledger, or no robot in it.
+    """
+    opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
+    types = opened.types()
+    groups: dict[str, list[str]] = {}
+    settings_of = {}
+    for robot_id in opened.robot_ids():
+        names = opened.current_names(robot_id, types=types)
+        if names:
+            settings = names[-1][1]
+            groups.setdefault(settings.digest, []).append(robot_id)
+            settings_of[settings.digest] = settings
+    if not groups:
+        raise UsageError(f"the ledger {opened.root} has no logs", value=opened.root)
+    done, total = 0, sum(map(len, groups.values()))
+    found: list[RobotDrift] = []
+    kinds: list[TypeVariation] = []
+    for digest, robot_ids in groups.items():
+        settings = settings_of[digest]
+
+        def read(robot_id: str, digest: str = digest) -> tuple[Day, ...]:
+            entries = opened.entries(robot_id, types=types)
+            return by_day(day_of(each) for each in entries if each.settings.digest == digest)
+
+        def tick(robot_id: str) -> None:
+            nonlocal done
+            done += 1
+            if progress is not None:
+                progress(f"{robot_id} read", done / (total + 1))
+
+        rows, kind = type_drift(
+            settings.robot_type, FleetColumns.of(settings), robot_ids, read, since, tick
+        )
+        found += rows
+        kinds.append(kind)
+    return conclude_drift(
+        opened.root, since, found, kinds, options or FleetDriftOptions(), opened.findings
+    )
+
+
+def type_drift(
+    robot_type: str,
+    columns: FleetColumns,
+    robot_ids: Sequence[str],
+    read: Callable[[str], tuple[Day, ...]],
+    since: datetime | None = None,
+    tick: Callable[[str], None] | None = None,
+) -> tuple[list[RobotDrift], TypeVariation]:
+    """Scan the robots of one type; `changed` is not decided yet.
+
+    Parameters
+    ----------
+    robot_type, columns
+        The type.
+    robot_ids, read
+        Its robots, and what returns the days of each; only a few are in memory at once.
+    since
+        Date from which a change counts.
+    tick
+        Called with each robot that was read.
+    """
+    step = max(1, -(-len(robot_ids) // EXAMPLES))
+    with one_blas_thread():
+        examples = {each: read(each) for each in robot_ids[::step]}
+        sound = [days for days in examples.values() if days]
+        if not sound:
+            return [], TypeVariation(robot_type, 0, 0, 0, 0.0, (), ())
+        directions = find_directions(columns, sound)
+        dates: dict[str, tuple[Day, ...]] = {}
+        histories: dict[str, History] = {}
+        names = sorted({name for days in sound for day in days for name in day.covariates})
+        for robot_id in robot_ids:
+            days = examples[robot_id] if robot_id in examples else read(robot_id)
+            if days:
+                histories[robot_id] = _history(directions, days, names)
+                dates[robot_id] = tuple(_bare(day) for day in days)
+            if tick is not None:
+                tick(robot_id)
+        variation = estimate_variation(list(histories.values()))
+        rows = []
+        for robot_id, inflation in zip(histories, variation.inflations, strict=True):
+            rows.append(
+                _robot_drift(
+                    robot_id,
+                    robot_type,
+                    directions,
+                    variation,
+                    float(inflation),
+                    histories[robot_id],
+                    dates[robot_id],
+                    since,
+                    read,
+                )
+            )
+    n_days = sum(each.n_days for each in histories.values())
+    return rows, TypeVariation(
+        robot_type,
+        len(histories),
+        n_days,
+        directions.count,
+        variation.autocorrelation,
+        _variation_torque(directions, variation, sound),
+        columns.joint_units,
+    )
+
+
+PLAUSIBLE = 0.05
+"""Probability up to which a change is explained before the fleet's rate decides."""
+
+
+def conclude_drift(
+    ledger: str,
+    since: datetime | None,
+    robots: Sequence[RobotDrift],
+    types: Sequence[TypeVariation],
+    options: FleetDriftOptions,
+    findings: Sequence[Finding] = (),
+) -> FleetDrift:
+    """Decide which robots changed, at the false discovery rate over all of them."""
+    tested = [each for each in robots if each.p_value is not None]
+    rates = benjamini_hochberg([float(each.p_value or 0.0) for each in tested])
+    rate_of = {each.id: float(rate) for each, rate in zip(tested, rates, strict=True)}
+    level = options.false_discovery_rate
+    decided = [_decided(each, rate_of.get(each.id), level) for each in robots]
+    decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
+    few = [each.id for each in robots if each.p_value is None]
+    said = list(findings)
+    if few:
+        shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
+        said.append(
+            Finding(
+                "drift_too_few_days",
+                "info",
+                f"{len(few)} robots have logs of too few days to look for changes ({shown});"
+                f" {SCAN.before} before and {SCAN.after} after are needed",
+            )
+        )
+    without = [each.robot_type for each in types if 0 < each.n_days - each.n_robots < 20]
+    if without:
+        said.append(
+            Finding(
+                "drift_variation_uncertain",
+                "warning",
+                f"the natural variation of {without[0]} comes from few days; changes that are not"
+                " large are not found",
+            )
+        )
+    return FleetDrift(
+        ledger,
+        None if since is None else since.isoformat(),
+        tuple(decided),
+        tuple(types),
+        level,
+        ranked(said),
+    )
+
+
+def _decided(each: RobotDrift, rate: float | None, level: float) -> RobotDrift:
+    changed = rate is not None and rate <= level
+    return RobotDrift(
+        each.id,
+        each.robot_type,
+        each.n_logs,
+        each.first,
+        each.last,
+        changed,
+        each.when if changed else None,
+        each.p_value,
+        rate,
+        each.what if changed else (),
+        each.days,
+        each.distances,
+    )
+
+
+def _history(directions: Directions, days: Sequence[Day], names: Sequence[str]) -> History:
+    J, s = directions.scores(days, directions.reference(days))
+    covariates = np.array(
+        [[day.covariates.get(name, np.nan) for name in names] for day in days]
+    ).reshape(len(days), len(names))
+    return History(J, s, covariates)
+
+
+def _bare(day: Day) -> Day:
+    """Return a day without its inner products."""
+    return Day(day.date, day.last, day.n_logs, day.n_samples, (), {})
+
+
+def _robot_drift(
+    robot_id: str,
+    robot_type: str,
+    directions: Directions,
+    variation: Variation,
+    inflation: float,
+    history: History,
+    dates: Sequence[Day],
+    since: datetime | None,
+    read: Callable[[str], tuple[Day, ...]],
+) -> RobotDrift:
+    first = 0 if since is None else sum(day.last < since for day in dates)
+    adjusted = history.without(variation.coefficients)
+    found = scan(
+        adjusted.information,
+        adjusted.score,
+        variation.covariance,
+        null=variation.null,
+        inflation=inflation,
+        first=first,
+    )
+    what: tuple[SourceChange, ...] = ()
+    if found is not None and found.p_value <= PLAUSIBLE:
+        days = read(robot_id)
+        what = explain_change(directions, variation, days, found.place, inflation)
+        about = directions.reference(days[: found.place])
+        adjusted = History(*directions.scores(days, about), history.covariates).without(
+            variation.coefficients
+        )
+    return RobotDrift(
+        robot_id,
+        robot_type,
+        sum(day.n_logs for day in dates),
+        dates[0].date.isoformat(),
+        dates[-1].last.isoformat(),
+        False,
+        None if found is None else dates[found.place].date.isoformat(),
+        None if found is None else found.p_value,
+        None,
+        what,
+        tuple(f"{day.date.astimezone(UTC):%Y-%m-%d}" for day in dates),
+        _distances(adjusted, variation, None if found is None else found.place),
+    )
+
+
+def _distances(history: History, variation: Variation, place: int | None) -> tuple[float, ...]:
+    """Return the distance of each day from the median of those before the change."""
+    y = history.estimates
+    centre = np.median(y[: max(place or 0, SCAN.before)], axis=0)
+    r = y.shape[1]
+    weak = 1e-2 * np.eye(r)
+    S = variation.covariance + np.linalg.inv(history.information + weak)
+    e = y - centre
+    squares = np.einsum("dr,dr->d", e, np.linalg.solve(S, e[..., None])[..., 0])
+    return tuple(float(x) for x in np.round(np.sqrt(np.maximum(squares, 0.0) / r), 3))
+
+
+def _variation_torque(
+    directions: Directions, variation: Variation, robots: Sequence[Sequence[Day]]
+) -> tuple[float, ...]:
+    """Return the RMS torque of the variation at each joint, over the days of some robots."""
+    values, axes = np.linalg.eigh(variation.covariance)
+    modes = directions.basis @ (axes * np.sqrt(np.maximum(values, 0.0)))
+    total: Array = np.zeros(directions.columns.n_joints)
+    n = 0
+    for days in robots[:3]:
+        day = days[0]
+        n += day.n_samples
+        for mode in modes.T:
+            total += directions.columns.energies(day.grams, mode, directions.beta)
+    return tuple(float(x) for x in np.sqrt(total / max(n, 1)))

@@ -1,0 +1,1 @@
+"""Ensembles of identified robots as sets of files."""

@@ -1,0 +1,144 @@
+"""An ensemble as a folder: model files, one table, ranges and a module that loads them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
+from asbuilt.identification.ensembles.ensemble import Ensemble
+from asbuilt.tables import Column, Shown, Table, significant
+from asbuilt.writers.files import atomic_write, file_lines, file_set, path_texts
+from asbuilt.writers.models.as_built import keeping_described_drives
+from asbuilt.writers.models.ensembles.ensemble_models import ensemble_model
+from asbuilt.writers.models.ensembles.ensemble_table import correlation, parquet_table, ranges
+from asbuilt.writers.models.ensembles.loader import loader_text
+from asbuilt.writers.models.export import delay_notes, urdf_to_edit
+from asbuilt.writers.models.mjcf import mjcf_notes, write_mjcf
+from asbuilt.writers.models.urdf import write_urdf
+from asbuilt.writers.models.urdf_edit import urdf_notes
+from asbuilt.writers.tables.tabular import write_json
+
+ModelFormat = Literal["mjcf", "urdf"]
+SUFFIXES: dict[str, str] = {"mjcf": ".xml", "urdf": ".urdf"}
+MARK = "ensemble.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnsembleFiles:
+    """Hold the files of an ensemble by kind, with notes and the `document` of `ensemble.json`."""
+
+    ensemble: Ensemble
+    files: dict[str, Path]
+    models: tuple[Path, ...]
+    notes: tuple[str, ...]
+    document: dict[str, Any]
+
+    def as_document(self) -> dict[str, Any]:
+        """Return what `ensemble.json` holds, with the paths of the files."""
+        models = [str(path) for path in self.models]
+        return {**self.document, "files": {**path_texts(self.files), "models": models}}
+
+    def as_text(self, full: bool = False) -> str:
+        """Return the ranges of drives and servo, `full` of the links too, the files and notes."""
+        head = f"{self.ensemble.result.robot}: {len(self.ensemble)} robots, equally probable"
+        shown = [row for row in self.document["parameters"] if full or "joint" in row]
+        columns = tuple(Column(name) for name in ("parameter", "of", "unit", "5 %", "50 %", "95 %"))
+        rows = tuple(
+            (
+                row["name"],
+                row.get("joint", row.get("link", "")),
+                row["unit"],
+                *(Shown(row[key], significant(row[key], 4)) for key in ("q05", "q50", "q95")),
+            )
+            for row in shown
+        )
+        first, last = self.models[0], self.models[-1]
+        files = {"models": Path(f"{first} ... {last.name}"), **self.files}
+        listed = file_lines(files, {}, 10) + [f"  note: {note}" for note in self.notes]
+        return "\n".join([head, "", Table(columns, rows).as_text().strip(), "", *listed])
+
+
+def write_ensemble(
+    folder: str | os.PathLike[str],
+    ensemble: Ensemble,
+    *,
+    models: ModelFormat = "mjcf",
+    seed: int | None = None,
+) -> EnsembleFiles:
+    """Write `model_000.xml ...`, `parameters.parquet`, `ensemble.json` and `load_ensemble.py`.
+
+    Members of an earlier ensemble in the folder are replaced.
+
+    Parameters
+    ----------
+    folder
+        Where to write.
+    ensemble
+        The robots.
+    models
+        Format of the model files: `"mjcf"` or `"urdf"` (the original URDF edited, if there is one).
+    seed
+        Seed that `ensemble.json` names.
+
+    Raises
+    ------
+    UsageError
+        If there is no such format, or the folder is not writable.
+    """
+    if models not in SUFFIXES:
+        raise UsageError(
+            f"there is no model format {models!r}", cure=Cure(f"take one of {', '.join(SUFFIXES)}")
+        )
+    place, n = Path(folder), len(ensemble)
+    digits = max(3, len(str(n - 1)))
+    names = [f"model_{draw:0{digits}d}{SUFFIXES[models]}" for draw in range(n)]
+    notes = (*ensemble.notes, *_format_notes(ensemble, models))
+    document = _document(ensemble, seed, names, notes)
+    older = [path.name for ends in SUFFIXES.values() for path in place.glob(f"model_*{ends}")]
+    with file_set(place, MARK, [*older, "parameters.parquet", "load_ensemble.py", MARK]):
+        written = [_write_model(place / name, ensemble, k, models) for k, name in enumerate(names)]
+        files = {
+            "parameters": atomic_write(place / "parameters.parquet", parquet_table(ensemble)),
+            "loader": atomic_write(place / "load_ensemble.py", loader_text(SUFFIXES[models])),
+            "ensemble": write_json(place / MARK, document),
+        }
+    return EnsembleFiles(ensemble, files, tuple(written), notes, document)
+
+
+def _document(
+    ensemble: Ensemble, seed: int | None, names: list[str], notes: tuple[str, ...]
+) -> dict[str, Any]:
+    result = ensemble.result
+    return {
+        "robot": result.robot,
+        "draws": len(ensemble),
+        "seed": seed,
+        "method": result.method,
+        "sources": list(result.sources),
+        "moved": ensemble.moved,
+        "models": names,
+        "parameters": ranges(ensemble),
+        "correlation": correlation(ensemble),
+        "notes": list(notes),
+    }
+
+
+def _write_model(path: Path, ensemble: Ensemble, draw: int, models: ModelFormat) -> Path:
+    robot = ensemble_model(ensemble, draw)
+    if models == "mjcf":
+        return write_mjcf(path, robot)[0]
+    original, _ = urdf_to_edit(ensemble.result.model)
+    return write_urdf(path, robot, original=original)[0]
+
+
+def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
+    """Return what files of this format cannot hold."""
+    first = ensemble_model(ensemble, 0)
+    _, kept = keeping_described_drives(first, ensemble.result.model)
+    said = mjcf_notes(first) if models == "mjcf" else urdf_notes(first)
+    own = f"numbers are those of draw 0: {'; '.join(said)}" if said else ""
+    return tuple(each for each in (own, *kept, *delay_notes(ensemble.result, models)) if each)

@@ -1,0 +1,1 @@
+"""Drives and servos of an identified robot for simulators and controllers."""

@@ -1,0 +1,116 @@
+"""USD overlay: masses, drives and joint friction over the prims of an imported robot."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import Joint
+from asbuilt.description.rotation import quaternion_from_rotation
+from asbuilt.writers.models.simulators.simulator_format import (
+    SIMULATOR_FORMATS,
+    ExportedDrives,
+    SimulatorFormat,
+)
+
+PER_DEGREE = np.pi / 180.0
+"""A coefficient per radian is this many per degree."""
+SCHEMAS = ("PhysicsDriveAPI:{axis}", "PhysxJointAPI", "PhysxJointAxisAPI:{axis}")
+
+
+class UsdOverlay(SimulatorFormat):
+    """A text layer of opinions that is put over the layer of the robot."""
+
+    key = "usd"
+    title = "USD overlay (.usda) with masses, drives and joint friction"
+
+    def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
+        """Return the layer and its notes."""
+        model = drives.plain
+        root = prim_name(model.name)
+        lines = [
+            "#usda 1.0",
+            "(",
+            f'    defaultPrim = "{root}"',
+            f'    doc = "{drives.origin}. Put this layer over that of the robot; angular'
+            ' coefficients are per degree."',
+            "    kilogramsPerUnit = 1",
+            "    metersPerUnit = 1",
+            '    upAxis = "Z"',
+            ")",
+            "",
+            f'over "{root}"',
+            "{",
+        ]
+        for link in model.links:
+            lines += _indented(_over(link.name, ("PhysicsMassAPI",), _mass(link.inertia)), 1)
+        lines += ['    over "joints"', "    {"]
+        for joint in model.joints:
+            axis = "angular" if joint.is_revolute else "linear"
+            schemas = tuple(each.format(axis=axis) for each in SCHEMAS)
+            lines += _indented(_over(joint.name, schemas, _drive(joint, axis)), 2)
+        lines += ["    }", "}", ""]
+        notes = (
+            *drives.left_out("a USD joint"),
+            f"prims are /{root}/LINK and /{root}/joints/JOINT, as the URDF importer of Isaac Sim"
+            " makes them (fixed joints merged); move them if yours are elsewhere",
+            "Coulomb friction is static and dynamic friction effort, which Isaac Sim 5 knows",
+        )
+        return "\n".join(lines), notes
+
+
+def _drive(joint: Joint, axis: str) -> Iterator[str]:
+    """Yield the attributes of a joint, coefficients of angular ones per degree."""
+    per = PER_DEGREE if axis == "angular" else 1.0
+    drive, limit = joint.drive, joint.limits.torque
+    coulomb, armature = drive.coulomb or 0.0, drive.armature or 0.0
+    yield f"float drive:{axis}:physics:stiffness = {(drive.kp or 0.0) * per!r}"
+    yield f"float drive:{axis}:physics:damping = {(drive.kd or 0.0) * per!r}"
+    if np.isfinite(limit):
+        yield f"float drive:{axis}:physics:maxForce = {limit!r}"
+    yield f"float physxJoint:armature = {armature!r}"
+    yield f"float physxJointAxis:{axis}:armature = {armature!r}"
+    yield f"float physxJointAxis:{axis}:staticFrictionEffort = {coulomb!r}"
+    yield f"float physxJointAxis:{axis}:dynamicFrictionEffort = {coulomb!r}"
+    viscous = (drive.viscous or 0.0) * per
+    yield f"float physxJointAxis:{axis}:viscousFrictionCoefficient = {viscous!r}"
+
+
+def _mass(inertia: LinkInertia) -> Iterator[str]:
+    """Yield the attributes of a link."""
+    yield f"float physics:mass = {inertia.mass!r}"
+    if inertia.mass <= 0.0:
+        return
+    moments, axes = np.linalg.eigh(inertia.inertia_about_com)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1.0
+    yield f"point3f physics:centerOfMass = {_tuple(inertia.com)}"
+    yield f"float3 physics:diagonalInertia = {_tuple(moments)}"
+    yield f"quatf physics:principalAxes = {_tuple(quaternion_from_rotation(axes))}"
+
+
+def _over(name: str, schemas: tuple[str, ...], attributes: Iterator[str]) -> list[str]:
+    listed = ", ".join(f'"{each}"' for each in schemas)
+    head = [f'over "{prim_name(name)}" (', f"    prepend apiSchemas = [{listed}]", ")", "{"]
+    return [*head, *(f"    {each}" for each in attributes), "}"]
+
+
+def _indented(lines: list[str], depth: int) -> list[str]:
+    return [f"{'    ' * depth}{line}" for line in lines]
+
+
+def _tuple(values: object) -> str:
+    return f"({', '.join(repr(float(each)) for each in np.ravel(np.asarray(values)))})"
+
+
+def prim_name(name: str) -> str:
+    """Return a valid name of a prim: letters, digits and underscores, no digit first."""
+    valid = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return f"_{valid}" if not valid or valid[0].isdigit() else valid
+
+
+SIMULATOR_FORMATS.register("usd", UsdOverlay())

@@ -1,0 +1,164 @@
+"""Page of a fleet: robots as rows, their histories as small multiples, outliers first."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+from markupsafe import Markup
+
+from asbuilt.tables import share
+from asbuilt.validation.comparison.significance import probability_text
+from asbuilt.workflow.fleet.drift.drift import FleetDrift, RobotDrift
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.reports.page import page
+from asbuilt.writers.reports.report_verdict import Card
+from asbuilt.writers.tables.drift_tables import drift_verdict
+
+SMALL, LARGE = (220, 40), (640, 150)
+"""Width and height of a history in a row, and in a robot's own part."""
+LEAST_SCALE = 3.0
+"""Distance at the upper edge of a quiet history."""
+MOST_POINTS = 240
+"""Points of a history; more days are thinned to the largest of neighbours."""
+USUAL = 1.0
+"""Distance of a day by natural variation."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotRow:
+    """Hold what the page shows of a robot."""
+
+    robot: RobotDrift
+    status: str
+    p_value: str
+    span: str
+    small: Markup
+    large: Markup
+
+
+def write_fleet_report(path: str | os.PathLike[str], drift: FleetDrift) -> Path:
+    """Write the page of a fleet: one file without scripts, which asks the network for nothing.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    drift
+        What `fleet_drift` found.
+    """
+    return atomic_write(path, fleet_html(drift))
+
+
+def fleet_html(drift: FleetDrift) -> str:
+    """Return the page as text."""
+    order = sorted(
+        drift.robots,
+        key=lambda each: (not each.changed, each.false_discovery or 1.0, -_last(each), each.id),
+    )
+    contents = [("verdict", "Verdict"), ("robots", "Robots"), ("types", "Types")]
+    return page(
+        "fleet.html.j2",
+        title=f"Fleet of {len(drift.robots)} robots",
+        heading="Fleet",
+        subject=f"{len(drift.robots)} robots",
+        subtitle=f"Ledger {drift.ledger}",
+        contents=contents,
+        cards=_cards(drift),
+        verdict=drift_verdict(drift),
+        findings=drift.findings,
+        rows=[_row(each) for each in order],
+        types=drift.types,
+    )
+
+
+def _cards(drift: FleetDrift) -> list[Card]:
+    n_changed = len(drift.changed)
+    logs = sum(each.n_logs for each in drift.robots)
+    last = max((each.last for each in drift.robots), default="")[:10]
+    return [
+        Card(
+            "neutral" if n_changed else "good",
+            f"{n_changed} of {len(drift.robots)}",
+            "robots changed",
+        ),
+        Card("neutral", f"{logs}", "logs"),
+        Card("neutral", last, "last log"),
+        Card("neutral", share(drift.false_discovery_rate, 0), "of the robots named may be wrong"),
+    ]
+
+
+def _row(robot: RobotDrift) -> RobotRow:
+    if robot.changed:
+        status = f"changed {(robot.when or '')[:10]}"
+    else:
+        status = "too few days" if robot.p_value is None else "no change"
+    return RobotRow(
+        robot,
+        status,
+        "" if robot.p_value is None else probability_text(robot.p_value),
+        f"{robot.first[:10]} to {robot.last[:10]}",
+        _history(robot, *SMALL, labels=False),
+        _history(robot, *LARGE, labels=True),
+    )
+
+
+def _last(robot: RobotDrift) -> float:
+    return robot.distances[-1] if robot.distances else 0.0
+
+
+def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Markup:
+    """Return the distances over the days as SVG, on a linear scale of their own."""
+    points = _thinned(robot)
+    if not points:
+        return Markup("")
+    left, bottom, top = (34, 20, 8) if labels else (2, 2, 2)
+    first, last = points[0][0], points[-1][0]
+    most = max([LEAST_SCALE, *(y for _, y in points)])
+    right = width - (10 if labels else 4)
+
+    def x(day: int) -> float:
+        return left + (right - left) * (day - first) / max(last - first, 1)
+
+    def y(value: float) -> float:
+        return height - bottom - (height - bottom - top) * value / most
+
+    parts = [
+        f'<line class="usual" x1="{left}" x2="{right}" y1="{y(USUAL):.1f}" y2="{y(USUAL):.1f}"/>'
+    ]
+    if robot.changed and robot.when:
+        at = x(date.fromisoformat(robot.when[:10]).toordinal())
+        parts.append(
+            f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{y(0):.1f}"/>'
+        )
+    path = " ".join(f"{x(day):.1f},{y(value):.1f}" for day, value in points)
+    parts.append(f'<polyline points="{path}"/>')
+    kind = "changed" if robot.changed else "quiet"
+    end = points[-1]
+    parts.append(f'<circle cx="{x(end[0]):.1f}" cy="{y(end[1]):.1f}" r="2.2"/>')
+    if labels:
+        parts += [
+            f'<text x="{left - 5}" y="{y(most) + 4:.1f}" class="end">{most:.3g}</text>',
+            f'<text x="{left - 5}" y="{y(USUAL) + 4:.1f}" class="end">1</text>',
+            f'<text x="{left}" y="{height - 5}">{robot.days[0]}</text>',
+            f'<text x="{right}" y="{height - 5}" class="end">{robot.days[-1]}</text>',
+        ]
+    title = f"Distance from the reference, day by day; the last is {end[1]:.2g}"
+    return Markup(
+        f'<svg class="history {kind}" viewBox="0 0 {width} {height}" role="img"'
+        f' aria-label="{title}">{"".join(parts)}</svg>'
+    )
+
+
+def _thinned(robot: RobotDrift) -> list[tuple[int, float]]:
+    """Return days as ordinals and distances, the largest of neighbours where there are many."""
+    points = [
+        (date.fromisoformat(day).toordinal(), value)
+        for day, value in zip(robot.days, robot.distances, strict=True)
+    ]
+    step = -(-len(points) // MOST_POINTS) or 1
+    return [
+        max(points[k : k + step], key=lambda point: point[1]) for k in range(0, len(points), step)
+    ]

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from tests.identification.ensembles.example_results import servo_result, two_link_result
+
+from asbuilt.description.inertia import pseudo_inertias
+from asbuilt.errors import UsageError
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.ensembles.consistent_draws import FAITHFUL, consistent_draws
+from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
+from asbuilt.identification.result.result import IdentificationResult
+
+NORMAL_95 = 1.644854
+
+
+@pytest.fixture(scope="module")
+def result() -> IdentificationResult:
+    return two_link_result()
+
+
+@pytest.fixture(scope="module")
+def ensemble(result: IdentificationResult) -> Ensemble:
+    return draw_ensemble(result, 1500, rng=3)
+
+
+def test_base_parameters_have_the_quantiles_of_their_normal_distribution(
+    result: IdentificationResult, ensemble: Ensemble
+) -> None:
+    beta = ensemble.parameters @ result.base.regrouping.T
+    low, high = np.quantile(beta, [0.05, 0.95], axis=0)
+    std = result.std_errors
+    np.testing.assert_allclose((low - result.estimates) / std, -NORMAL_95, atol=0.2)
+    np.testing.assert_allclose((high - result.estimates) / std, NORMAL_95, atol=0.2)
+
+
+def test_correlations_are_those_of_the_covariance(
+    result: IdentificationResult, ensemble: Ensemble
+) -> None:
+    beta = ensemble.parameters @ result.base.regrouping.T
+    size = np.sqrt(np.diag(result.covariance))
+    expected = result.covariance / np.outer(size, size)
+    assert np.abs(expected - np.eye(len(size))).max() > 0.5
+    np.testing.assert_allclose(np.corrcoef(beta.T), expected, atol=0.12)
+
+
+def test_every_robot_is_possible_and_next_to_its_draw(
+    result: IdentificationResult, ensemble: Ensemble
+) -> None:
+    links = ensemble.parameters[:, : 10 * result.model.n_joints].reshape(-1, 10)
+    assert np.linalg.eigvalsh(pseudo_inertias(links)).min() > 0.0
+    names = np.array(ensemble.names)
+    friction = [k for k, name in enumerate(names) if name[:2] in ("Fv", "Fc")]
+    assert ensemble.table[:, friction].min() > 0.0
+    assert np.quantile(ensemble.chi_square, 0.95) < FAITHFUL
+
+
+def test_a_friction_that_may_be_zero_is_never_negative(result: IdentificationResult) -> None:
+    base, prior = result.base, cad_prior(result.model, result.base.drive)
+    place = base.names.index("Fv1")
+    drawn = np.tile(result.estimates, (2, 1))
+    drawn[0, place] = -3.0 * abs(drawn[0, place])
+    root = np.diag(1.0 / result.std_errors)
+    chi, chi_square = consistent_draws(prior, base, drawn, root)
+    moved = (chi @ base.regrouping.T)[0, place]
+    assert 0.0 <= moved < 0.1 * result.estimates[place]
+    assert chi_square[0] > 1.0 > FAITHFUL > chi_square[1]
+
+
+def test_the_same_seed_gives_the_same_robots(result: IdentificationResult) -> None:
+    one, two, other = (draw_ensemble(result, 4, rng=seed).table for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, two)
+    assert np.abs(one - other).max() > 0.0
+
+
+def test_the_friction_of_a_joint_follows_the_stiffness_of_its_servo() -> None:
+    result = servo_result(shared=False, relative=0.2)
+    ensemble = draw_ensemble(result, 400, rng=0)
+    assert ensemble.kp is not None
+    place = [ensemble.names.index(name) for name in ("Fc1", "Fc2")]
+    found = np.corrcoef(ensemble.table[:, place].T, ensemble.kp.T)[:2, 2:]
+    np.testing.assert_allclose(found, np.eye(2), atol=0.15)
+
+
+def test_a_shared_stiffness_scales_the_whole_robot() -> None:
+    result = servo_result(shared=True, relative=0.2)
+    table = draw_ensemble(result, 400, rng=0)
+    assert table.kp is not None
+    assert result.servo is not None
+    factors = table.kp / np.array(result.servo.kp)
+    np.testing.assert_allclose(factors[:, 0], factors[:, 1], rtol=1e-12)
+    assert np.std(np.log(factors[:, 0])) == pytest.approx(0.2, rel=0.15)
+    places = [result.base.names.index(f"Fc{k}") for k in (1, 2)]
+    friction = (table.parameters @ result.base.regrouping.T)[:, places]
+    for column in friction.T:
+        assert np.corrcoef(column, factors[:, 0])[0, 1] > 0.98
+    assert table.delay is not None
+    assert np.std(table.delay) == pytest.approx(5e-4, rel=0.2)
+    assert table.servo(7).kp == tuple(table.kp[7])  # type: ignore[union-attr]
+
+
+def test_no_robots_are_refused(result: IdentificationResult) -> None:
+    with pytest.raises(UsageError, match="1 to 100000 robots, got 0"):
+        draw_ensemble(result, 0)
