@@ -78,9 +78,9 @@ def find_scale(
     `tau_cad` is the rigid-body torque of the links by design (`design`, standard parameters with
     drives zero); armature and friction of the joint are free and have no scale. There is no
     constant torque: a servo has none, and over a small range of motion gravity is almost constant,
-    so that a constant would take its place. Blocks of time weigh `1 / (1 + r / median(r))` with their residual variance r, so that contact does not
-    count. The stiffness is shared by all unknown joints if asked, or if some joint's rows do not
-    determine its own.
+    so that a constant would take its place. Blocks of time weigh `1 / (1 + r / median(r))` with
+    their residual variance r, so that contact does not count. The stiffness is shared by all
+    unknown joints if asked, or if some joint's rows do not determine its own.
 
     Raises nothing: a stiffness that nothing determines has an infinite standard error.
     """
