@@ -150,6 +150,6 @@ def test_stiffness_does_not_share_gravity_with_a_constant_torque(recording):
 
 def test_noise_of_positions_demands_no_low_cutoff_where_they_are_in_the_torque(recording):
     driven = driven_by_command(recording, unknown(KP))
-    measured = dataclasses.replace(driven, torque_source="joint")
+    measured = dataclasses.replace(driven, torque_source="unknown")
     assert resolve_chain(SignalChain(), measured).cutoff < 7.0
     assert resolve_chain(SignalChain(), driven).cutoff >= 7.0
