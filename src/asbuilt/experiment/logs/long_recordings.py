@@ -95,7 +95,17 @@ class RecordingStream:
         RecordingError
             If it holds no samples.
         """
-        for recording in self._read(HEAD):
+        return self.beginning(HEAD)
+
+    def beginning(self, n_samples: int) -> Recording:
+        """Return the first samples, at most so many.
+
+        Raises
+        ------
+        RecordingError
+            If it holds no samples.
+        """
+        for recording in self._read(n_samples):
             return recording
         raise RecordingError(
             f"{self.path} is not a recording: it holds no samples", file=self.source
@@ -144,6 +154,13 @@ def head_of(recording: Recording | RecordingStream) -> Recording:
     return recording.head if isinstance(recording, RecordingStream) else recording
 
 
+def first_of(recording: Recording | RecordingStream, n_samples: int) -> Recording:
+    """Return the first samples of a recording or a stream, at most so many."""
+    if isinstance(recording, RecordingStream):
+        return recording.beginning(n_samples)
+    return recording if recording.n_samples <= n_samples else recording.taken(slice(n_samples))
+
+
 def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -> Samples:
     """Return the samples of a recording or stream; what the chain leaves open is chosen for it."""
     if isinstance(recording, RecordingStream):
@@ -151,9 +168,9 @@ def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -
     return prepare_samples(recording, chain)
 
 
-def is_long(path: Path, size: float = LONG) -> bool:
-    """Return whether a file has more bytes than `size` and can be read in chunks."""
+def is_long(path: Path, size: float | None = None) -> bool:
+    """Return whether a file has more bytes than `size` (default `LONG`) and is read in chunks."""
     if not path.is_file() or path.suffix == ".toml":
         return False
     stream = log_format(path).stream
-    return stream is not None and stream.n_bytes(path) > size
+    return stream is not None and stream.n_bytes(path) > (LONG if size is None else size)

@@ -13,7 +13,7 @@ import numpy as np
 from asbuilt.description.locking import lock_findings
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import (
@@ -23,7 +23,11 @@ from asbuilt.experiment.quality.first_pass import (
     first_pass,
 )
 from asbuilt.experiment.quality.motion_checks import DEGREE, in_degrees, motion_findings
-from asbuilt.experiment.quality.position_checks import PositionNoise, position_findings
+from asbuilt.experiment.quality.position_checks import (
+    MEASURED,
+    PositionNoise,
+    position_findings,
+)
 from asbuilt.experiment.quality.second_pass import second_pass
 from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed_motion
 from asbuilt.experiment.quality.torque.sign_check import unsigned_findings
@@ -226,7 +230,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         findings += _findings_in_time(model, chunks, known)
-        noise = PositionNoise.of(as_modelled(model, credible(head_of(recording))))
+        noise = PositionNoise.of(as_modelled(model, credible(first_of(recording, MEASURED))))
         findings += position_findings(model, noise)
     findings += lock_findings(model.locked_joints)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)

@@ -16,6 +16,8 @@ from asbuilt.experiment.signal.noise.position_step import position_steps
 from asbuilt.experiment.signal.resampling import uniform_segments
 from asbuilt.findings import Cure, Finding
 
+MEASURED = 20_000
+"""Samples at the beginning by which step and noise are measured: 20 s at 1 kHz."""
 LIMITED = 0.8
 """Share of the cutoff wanted below which noise of the positions limits the band."""
 CURE = Cure("log positions with the encoder's full resolution, or velocities, or move faster")
