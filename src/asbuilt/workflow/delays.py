@@ -28,6 +28,8 @@ from asbuilt.identification.result.result import IdentificationResult
 
 FRICTION = DriveSet.parse("viscous,coulomb,offset")
 """Drive terms without which friction passes for a delay."""
+SURE = 3.0
+"""Standard errors that a delay must exceed for a warning: of fault-free recordings 5 % exceed 2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,11 +155,14 @@ def delay_findings(
         else ""
     )
     joints = " (joints differ)" if any(each.joints for each in late) else ""
+    sure = any(each.joints or abs(each.estimate) > SURE * each.std_error for each in late)
+    alarming = matters and sure
     return (
         Finding(
             "torque_delayed",
-            "warning" if matters else "info",
-            f"Torques are late against positions by {listed}{joints}; they were shifted back{cost}",
+            "warning" if alarming else "info",
+            f"Torques {'are' if sure else 'may be'} late against positions by {listed}{joints};"
+            f" they were shifted back{cost}",
             Cure(
                 "log both at the same instants, or state the delay", settings={"delay": "SECONDS"}
             ),

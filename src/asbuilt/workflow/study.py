@@ -354,7 +354,7 @@ def _concluded(
         *servo_findings(model, servo, choice.drive),
         *refinement_findings(refined),
         *cause_findings(attribution),
-        *missing_effect_findings(result),
+        *missing_effect_findings(result, training, block_seconds=options.block_seconds),
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )

@@ -135,3 +135,21 @@ def test_gains_of_position_actuators_are_read():
     assert servo is not None
     assert servo.kp == KP
     assert servo.kd == (0.0, 0.0, 0.0)
+
+
+def test_stiffness_does_not_share_gravity_with_a_constant_torque(recording):
+    driven = driven_by_command(recording, unknown())
+    chain = resolve_chain(SignalChain(), driven)
+    model = read_mjcf(ROBOT)
+    with_offset, without = (
+        estimate_servo(model, [driven], DriveSet.parse(terms), chain, delay=DELAY).servo.kp
+        for terms in ("armature,viscous,coulomb,offset", "armature,viscous,coulomb")
+    )
+    assert with_offset == pytest.approx(without, rel=1e-6)
+
+
+def test_noise_of_positions_demands_no_low_cutoff_where_they_are_in_the_torque(recording):
+    driven = driven_by_command(recording, unknown(KP))
+    measured = dataclasses.replace(driven, torque_source="unknown")
+    assert resolve_chain(SignalChain(), measured).cutoff < 7.0
+    assert resolve_chain(SignalChain(), driven).cutoff >= 7.0

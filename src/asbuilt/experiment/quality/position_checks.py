@@ -51,7 +51,7 @@ class PositionNoise:
         changed = np.any(np.diff(finite, axis=0) != 0.0, axis=1)
         if rate < 1.0 or not changed.any():
             return None
-        band = choose_band(segments, rate)
+        band = choose_band(segments, rate, commanded=recording.torque_source == "command")
         step = position_steps([finite[np.concatenate([[True], changed])]])
         density = np.zeros(len(step)) if band.noise is None else band.noise.density(band.cutoff)
         return cls(step, np.maximum(density, step**2 / (6.0 * rate)), band)

@@ -45,7 +45,10 @@ def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
     >>> round(resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q)).cutoff, 2)
     7.0
     """
-    chains = [_resolved(chain, *_segments(recording, chain)[:2])[0] for recording in recordings]
+    chains = [
+        _resolved(chain, *_segments(recording, chain)[:2], _commanded(recording))[0]
+        for recording in recordings
+    ]
     return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
 
 
@@ -82,7 +85,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     chain = chain or SignalChain()
     segments, rate, notes = _segments(recording, chain)
     is_open = chain.cutoff is None
-    chain, chosen = _resolved(chain, segments, rate)
+    chain, chosen = _resolved(chain, segments, rate, _commanded(recording))
     if is_open:
         segments, rate, notes = _segments(recording, chain)
     plan, origin = FilterPlan.of(chain, rate), float(segments[0].t[0])
@@ -160,7 +163,7 @@ def stream_samples(
             continue
         segments, rate, notes = _segments(joined, chain, plan.rate if plan else None)
         if plan is None:
-            chain, chosen = _resolved(chain, segments, rate)
+            chain, chosen = _resolved(chain, segments, rate, _commanded(joined))
             plan = FilterPlan.of(chain, rate)
             if plan.parallel is None and plan.thinning > 1:
                 raise UsageError(
@@ -206,8 +209,16 @@ def _segments(
     return uniform_segments(recording, rate or chain.rate, chain.max_gap, resolved)
 
 
+def _commanded(recording: Recording) -> bool:
+    """Return whether the torque of a recording is that of a command."""
+    return recording.torque_source == "command"
+
+
 def _resolved(
-    chain: SignalChain, segments: Sequence[UniformSegment], rate: float
+    chain: SignalChain,
+    segments: Sequence[UniformSegment],
+    rate: float,
+    commanded: bool = False,
 ) -> tuple[SignalChain, tuple[str, ...]]:
     notes: list[str] = []
     if rate < SLOWEST_RATE:
@@ -229,7 +240,7 @@ def _resolved(
         )
     band = None
     if chain.cutoff is None:
-        band = choose_band(segments, rate)
+        band = choose_band(segments, rate, commanded=commanded)
         chain = replace(chain, cutoff=band.cutoff)
     if chain.velocity == "auto":
         verdict = _velocity_verdict(chain, segments, rate)
@@ -245,7 +256,7 @@ def _resolved(
         )
     if band is not None:
         if chain.velocity == "measured":
-            band = choose_band(segments, rate, of_velocity=True)
+            band = choose_band(segments, rate, of_velocity=True, commanded=commanded)
             chain = replace(chain, cutoff=band.cutoff)
         notes.insert(0, str(band))
     if chain.standstill is None and not chain.rests:

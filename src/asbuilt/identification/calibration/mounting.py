@@ -20,7 +20,7 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds, generous_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
-from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
+from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_consistent
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -167,6 +167,7 @@ def find_mounting(
     base = find_base_parameters(_turned(model, axes, np.array([0.07, 0.11])), drive)
     prior = cad_prior(model, drive)
     bounds = generous_bounds(prior)
+    problem = ConicProblem.of(prior, base.regrouping, bounds)
 
     def information(tilt: Array) -> SquareRootInformation:
         return accumulate_stream(
@@ -175,9 +176,7 @@ def find_mounting(
 
     def block_costs(tilt: Array, weights: Array) -> Array:
         seen = information(tilt)
-        chi = fit_consistent_bodies(
-            prior, base.regrouping, factor=seen.stacked(weights), bounds=bounds
-        ).chi
+        chi = problem.fit(seen.stacked(weights)).chi
         return _block_costs(seen, base, weights, chi)
 
     def cost(tilt: Array, weights: Array) -> float:

@@ -13,7 +13,10 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.terms.spring import Spring
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.bodies.body_bounds import generous_bounds
 from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.drives.drive_choice import (
     CERTAIN,
     CERTAIN_TOGETHER,
@@ -128,10 +131,11 @@ class _HeldOut:
     ) -> _HeldOut:
         base, prior = find_base_parameters(model, drive), cad_prior(model, drive)
         information = accumulate_stream(model, base, samples, block_seconds=block_seconds)
-        if weights is None:
-            weights = fit_consistent(information, prior).weights
-
-        errors, betas = held_out_errors(
-            information, lambda part: fit_consistent(part, prior, weights=weights).beta
-        )
-        return cls(errors, betas, tuple(base.names), weights)
+        chosen = fit_consistent(information, prior).weights if weights is None else weights
+        with one_blas_thread():
+            problem = ConicProblem.of(prior, base.regrouping, generous_bounds(prior))
+            errors, betas = held_out_errors(
+                information,
+                lambda part: base.regrouping @ problem.fit(part.stacked(chosen)).chi,
+            )
+        return cls(errors, betas, tuple(base.names), chosen)

@@ -10,6 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.terms.offset import Offset
 from asbuilt.identification.servo.servo_rows import ServoRows
 
 Scale = Literal["gravity", "inertia"]
@@ -75,10 +76,11 @@ def find_scale(
     """Fit `u - q = c tau_cad + drive terms + c kd qd`, c = 1 / kp, joint by joint.
 
     `tau_cad` is the rigid-body torque of the links by design (`design`, standard parameters with
-    drives zero); armature, friction and offset of the joint are free and have no scale. Blocks of
-    time weigh `1 / (1 + r / median(r))` with their residual variance r, so that contact does not
-    count. The stiffness is shared by all unknown joints if asked, or if some joint's rows do not
-    determine its own.
+    drives zero); armature and friction of the joint are free and have no scale. There is no
+    constant torque: a servo has none, and over a small range of motion gravity is almost constant,
+    so that a constant would take its place. Blocks of time weigh `1 / (1 + r / median(r))` with
+    their residual variance r, so that contact does not count. The stiffness is shared by all
+    unknown joints if asked, or if some joint's rows do not determine its own.
 
     Raises nothing: a stiffness that nothing determines has an infinite standard error.
     """
@@ -108,12 +110,12 @@ def _own_scale(
     own = rows.support[k]
     K, n = base.regrouping[own], len(rows.support)
     per = (base.n_standard - 10 * n) // n
-    drives = K[:, 10 * n + per * k : 10 * n + per * (k + 1)]
+    drives = K[:, 10 * n + per * k : 10 * n + per * (k + 1)][:, _not_constant(base)]
     parts = {
         "gravity": np.where(np.arange(base.n_standard) % 10 >= 6, design, 0.0),
         "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),
     }
-    T = np.zeros((own.size + 3, 1 + per))
+    T = np.zeros((own.size + 3, 1 + drives.shape[1]))
     T[: own.size, 0], T[: own.size, 1:] = K @ design, drives
     T[own.size, 0] = np.nan_to_num(kd)
     T = T[:, [0, *(1 + np.flatnonzero(np.any(drives != 0.0, axis=0)))]]
@@ -138,6 +140,12 @@ def _own_scale(
     if alone <= 1e-9 * normal[0, 0]:
         return float("nan"), float("inf"), source
     return float(x[0]), float(np.sum(scores**2)), source
+
+
+def _not_constant(base: BaseParameters) -> list[int]:
+    """Return the drive columns of a joint that are no constant torque."""
+    symbols = [symbol for term in base.drive.terms for symbol in term.symbols]
+    return [i for i, symbol in enumerate(symbols) if symbol not in Offset.symbols]
 
 
 def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:

@@ -49,11 +49,18 @@ class Band:
 
 
 def choose_band(
-    segments: Sequence[UniformSegment], rate: float, *, of_velocity: bool = False
+    segments: Sequence[UniformSegment],
+    rate: float,
+    *,
+    of_velocity: bool = False,
+    commanded: bool = False,
 ) -> Band:
     """Return the default cutoff of segments at one rate [Hz].
 
-    With `of_velocity` the noise is that of the logged velocities, from which accelerations follow.
+    The torque of a command contains the positions and their noise, so that it is no measure of
+    them; if it is `commanded`, noise demands no cutoff below `LOWEST_CUTOFF`. A lower one turns the
+    phase by which stiffness and delay of the servo are found. With `of_velocity` the noise is that
+    of the logged velocities, from which accelerations follow.
     """
     moved = [
         np.cumsum(segment.qd, axis=0) / rate
@@ -68,4 +75,6 @@ def choose_band(
         [(x, tau) for x, tau in logged if x is not None], rate, of_velocity=of_velocity
     )
     cutoff = wanted if noise is None else noise.cutoff(wanted)
+    if commanded:
+        cutoff = max(cutoff, min(wanted, LOWEST_CUTOFF))
     return Band(bandwidth, wanted, cutoff, noise)

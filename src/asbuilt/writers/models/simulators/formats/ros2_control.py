@@ -59,9 +59,9 @@ def _joint(element: Element, joint: Joint, delay: float) -> None:
         (limits.lower, limits.upper) if commanded == "position" else (-limits.torque, limits.torque)
     )
     command = SubElement(element, "command_interface", name=commanded)
-    for name, value in (("min", lowest), ("max", highest)):
-        if np.isfinite(value):
-            SubElement(command, "param", name=name).text = repr(float(value))
+    for bound, limit in (("min", lowest), ("max", highest)):
+        if np.isfinite(limit):
+            SubElement(command, "param", name=bound).text = repr(float(limit))
     for state in ("position", "velocity", "effort"):
         SubElement(element, "state_interface", name=state)
     for name, value in (
