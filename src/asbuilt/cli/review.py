@@ -51,7 +51,7 @@ def review(
     from asbuilt.validation.comparison.cad_tolerance import CadTolerance
     from asbuilt.validation.review.review import PLAUSIBLE
     from asbuilt.workflow.review import review as review_robot
-    from asbuilt.writers.reports.review_text import review_document, review_text
+    from asbuilt.writers.reports.reviews.review_text import review_document, review_text
 
     distinct_logs(log)
     tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)

@@ -1,0 +1,1 @@
+"""Review of a robot description in words, tables and plain data."""
