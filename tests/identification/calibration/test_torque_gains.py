@@ -51,7 +51,8 @@ def pair():
         current = recording.tau / GAINS + noise
         samples.append(
             prepare_samples(
-                replace(recording, tau=current, torque_source="current"), SignalChain(cutoff=8.0)
+                replace(recording, tau=current, torque_source="current"),
+                SignalChain(cutoff=8.0, parallel_cutoff=8.0),
             )
         )
     return samples

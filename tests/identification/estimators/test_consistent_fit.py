@@ -193,7 +193,8 @@ def med7(shared, log, rule):
     recordings = read_recordings(
         [shared / "data" / "lbr_med7" / log], model=model, rate=100.0, flip_torque=True
     )
-    samples = prepare_samples(recordings[0], resolve_chain(SignalChain(), *recordings))
+    chain = resolve_chain(SignalChain(), *recordings)
+    samples = prepare_samples(recordings[0], replace(chain, parallel_cutoff=chain.cutoff))
     return model, *hold_out(samples, rule)
 
 
