@@ -192,7 +192,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "robot",
             "Write the identified robot, or many of it, for other software.",
             (
-                "study/result.json --urdf as_built.urdf --to isaac-lab=actuators.py",
+                "study/result.json --urdf arm.urdf --to isaac-lab=actuators.py",
                 "study/result.json --ensemble 100 -o ensemble --seed 1",
             ),
             "export_result",

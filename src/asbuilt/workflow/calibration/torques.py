@@ -146,6 +146,8 @@ def identify_channels(
         checked=options.checked,
         progress=progress,
     )
+    for pair in pairs:
+        _check_same_motion(*pair)
     return identify_two_channels(
         model,
         prepared.training,
@@ -175,6 +177,15 @@ def _same_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Recorde
     if common.size < max(sensor.n_samples, motor.n_samples):
         shared = (np.isin(sensor.t, motor.t), np.isin(motor.t, sensor.t))
         sensor, motor = sensor.taken(shared[0]), motor.taken(shared[1])
+    return (
+        replace(sensor, extra={**sensor.extra, "tau_motor": motor.tau}),
+        replace(motor, extra={**motor.extra, "tau_sensor": sensor.tau}),
+    )
+
+
+def _check_same_motion(sensor: Recorded, motor: Recorded) -> None:
+    if not (isinstance(sensor, Recording) and isinstance(motor, Recording)):
+        return
     apart = np.nanmax(np.abs(sensor.q - motor.q), axis=0)
     moved = np.maximum(np.ptp(sensor.q, axis=0), np.ptp(motor.q, axis=0))
     worst = int(np.argmax(apart - SAME_MOTION * moved))
@@ -186,7 +197,3 @@ def _same_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Recorde
             joint=sensor.joint_names[worst],
             value=float(apart[worst]),
         )
-    return (
-        replace(sensor, extra={**sensor.extra, "tau_motor": motor.tau}),
-        replace(motor, extra={**motor.extra, "tau_sensor": sensor.tau}, q=sensor.q, qd=sensor.qd),
-    )
