@@ -14,7 +14,10 @@ from asbuilt.cli.app import main
 from asbuilt.cli.commands import SUBCOMMANDS
 
 JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "json.md"
-EXTRA = {"identify": {"payload", "cutoff_sweep"}}
+EXTRA = {
+    "identify": {"payload", "cutoff_sweep", "rollout", "refined"},
+    "validate": {"rollout"},
+}
 """Fields that some options of a command add."""
 
 
