@@ -26,6 +26,7 @@ GROUPS = {
     "program_formats": "json_program",
     "report_sections": "outside_section",
     "description_formats": "chain_format",
+    "simulator_formats": "gains_format",
 }
 
 
@@ -88,6 +89,8 @@ def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
     half, whole = ([p["estimate"] for p in found[name]["parameters"]] for name in found)
     assert [2 * value for value in half] == pytest.approx(whole)
     assert "<h2>From outside</h2>" in (tmp_path / "ols" / "report.html").read_text()
+    run(site, tmp_path, "export ols/result.json --nearest --to gains=gains.txt")
+    assert (tmp_path / "gains.txt").read_text().startswith("two-link: 2 joints")
 
 
 @pytest.mark.slow

@@ -19,7 +19,8 @@ CASES = [(style, n) for style in ("general", "distal", "proximal") for n in (1, 
 RICH = (
     "armature,viscous,coulomb:joints=2/3,stribeck:velocity=0.2:power=1.5,load_friction,balancer,"
     "power:exponent=0.4/0.5/0.6,motor_armature,motor_viscous,motor_coulomb,asymmetric_coulomb,"
-    "asymmetric_viscous,smooth_coulomb,quadratic,cubic,spring,offset"
+    "asymmetric_viscous,smooth_coulomb,quadratic,cubic,spring,offset,"
+    "load_stribeck,quadratic_load_stribeck,directional_load_stribeck,directional_load_friction"
 )
 
 

@@ -49,7 +49,10 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
     whole = read_recording(log, model=model)
     chain = resolve_chain(SignalChain(), whole)
     options = StudyOptions(
-        chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3"
+        chain=chain,
+        drive=DriveSet.parse("viscous,coulomb,offset"),
+        holdout="last:0.3",
+        method="consistent",
     )
     one = identify(model, [whole], options=options)
     other = identify(model, [RecordingStream(log, model, chunk_samples=4000)], options=options)

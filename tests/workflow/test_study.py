@@ -79,7 +79,7 @@ def test_a_motion_too_poor_for_its_parameters_is_called_so(recordings: list[Reco
     short = [
         replace(
             recordings[0],
-            **{name: getattr(recordings[0], name)[:150] for name in ("t", "q", "tau")},
+            **{name: getattr(recordings[0], name)[:250] for name in ("t", "q", "tau")},
         )
     ]
     study = identify(

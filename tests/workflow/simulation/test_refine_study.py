@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from asbuilt import StudyOptions, identify, roll_out_result
 from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.workflow.options import horizons
 
 pytest.importorskip("mujoco")
@@ -29,6 +30,7 @@ def study():
         rollout=(0.5, 1.0),
         refine="rollout",
         method="entropic",
+        chain=SignalChain(cutoff=14.0, parallel_cutoff=14.0),
         checked=False,
     )
     return identify(cad, recording, options=options), recording

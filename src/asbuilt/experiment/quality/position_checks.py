@@ -18,6 +18,8 @@ from asbuilt.findings import Cure, Finding
 
 MEASURED = 20_000
 """Samples at the beginning by which step and noise are measured: 20 s at 1 kHz."""
+COARSE = 2.0 * np.pi / 2**16
+"""Step [rad or m] beyond which positions are called coarse: 16 bits per turn."""
 LIMITED = 0.8
 """Share of the cutoff wanted below which noise of the positions limits the band."""
 CURE = Cure("log positions with the encoder's full resolution, or velocities, or move faster")
@@ -77,7 +79,7 @@ def position_findings(model: RobotModel, noise: PositionNoise | None) -> Iterato
             CURE,
         )
     for k, text in enumerate(steps):
-        if text:
+        if text and noise.step[k] > COARSE:
             yield Finding(
                 "coarse_positions",
                 "info",
