@@ -10,7 +10,9 @@ class DirectionalLoadFriction(DriveTerm):
     """Add `|load| sign(qd)` times Flm where `load qd > 0`, times Fle where `load qd < 0`.
 
     Of a gear that is less efficient one way: the motor drives where the rigid-body torque has the
-    sign of the velocity. It contains `load_friction`, in whose place it comes.
+    sign of the velocity. It contains `load_friction`, in whose place it comes. The differences
+    Flm - Fle of all joints together are the rigid-body torque, so that one direction, a common
+    factor of all links against them, is never determined by torques.
 
     Source: Duclusaud, Passault, Padois and Ly, arXiv 2410.08650, 2024: model M5, solved for the
     torque of the motor in motion.
