@@ -132,7 +132,7 @@ def test_a_robot_as_described_is_validated_too(slow: Recording) -> None:
 def test_the_real_arm_of_two_bandwidths(
     shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Trained at 12 harmonics, validated on ten points: the same samples in study and afterwards."""
+    """Trained at 12 harmonics, validated on ten points: the same samples then and later."""
     robot, data = shared / "models/ur10e.urdf", shared / "data/ur10e"
     sheet = tmp_path / "ur10e.toml"
     sheet.write_text(
