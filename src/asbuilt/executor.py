@@ -263,7 +263,11 @@ def _pool(count: int) -> Any:
     process_executor = import_module("loky.process_executor")
     with interrupts_ignored():
         pool = process_executor.ProcessPoolExecutor(
-            count, timeout=None, initializer=_begin, initargs=(os.getpid(),), env=ONE_THREAD
+            count,
+            timeout=None,
+            initializer=end_with_parent,
+            initargs=(os.getpid(),),
+            env=ONE_THREAD,
         )
         pool.submit(os.getpid).result()
     return pool
@@ -295,7 +299,8 @@ def _cluster(address: str) -> Iterator[Workers]:
         client.close()
 
 
-def _begin(parent: int) -> None:
+def end_with_parent(parent: int) -> None:
+    """Have this process end soon after its parent."""
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 

@@ -12,7 +12,7 @@ from asbuilt.cli.arguments.options import AsJson, Filtering, Full, Logs, Out, Ro
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.workflow.fleet.identification import FleetIdentification
-from asbuilt.workflow.fleet.reduction.add import FleetOptions
+from asbuilt.workflow.fleet.reduction.add import Addition, FleetOptions
 from asbuilt.workflow.options import StudyOptions
 
 LedgerPlace = Annotated[
@@ -79,7 +79,6 @@ def add(
     from asbuilt.workflow.fleet.reduction.add import add_logs
     from asbuilt.workflow.fleet.reduction.add import id_from as identity_from
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.tables.fleet_tables import addition_document, addition_text
 
     if (id is None) == (id_from is None):
         raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
@@ -96,6 +95,13 @@ def add(
             date=None if date is None else parse_date(date),
             progress=report,
         )
+    _answer_addition(done, full, as_json)
+
+
+def _answer_addition(done: Addition, full: bool, as_json: bool) -> None:
+    """Print what was added; logs that failed are the exit status."""
+    from asbuilt.writers.tables.fleet_tables import addition_document, addition_text
+
     answer(
         as_json,
         lambda: addition_document(done),
@@ -123,7 +129,6 @@ def rebuild(
     logs that are not given are left out of the ledger from then on.
     """
     from asbuilt.workflow.fleet.reduction.rebuild import rebuild_ledger
-    from asbuilt.writers.tables.fleet_tables import addition_document, addition_text
 
     with progress_bar() as report:
         done = rebuild_ledger(
@@ -134,13 +139,7 @@ def rebuild(
             fleet=fleet,
             progress=report,
         )
-    answer(
-        as_json,
-        lambda: addition_document(done),
-        lambda: addition_text(done, finding_text, cure_text, full=full),
-    )
-    if done.failed:
-        raise typer.Exit(FAILED)
+    _answer_addition(done, full, as_json)
 
 
 def show(

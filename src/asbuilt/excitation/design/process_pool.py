@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager
 from pickle import PicklingError
 from typing import Generic, TypeVar
 
 from loky.process_executor import ProcessPoolExecutor
+
+from asbuilt.executor import end_with_parent, interrupts_ignored
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 MOST = 7
 """Most processes beside this one; each needs about 250 MB."""
-ORPHAN_CHECK = 0.5
-"""Seconds between looks at the parent process."""
 
 
 class ProcessPool(Generic[Task, Result]):
@@ -37,7 +33,7 @@ class ProcessPool(Generic[Task, Result]):
         if self._size < 1:
             return
         try:
-            with _interrupts_ignored():
+            with interrupts_ignored():
                 self._executor = ProcessPoolExecutor(
                     self._size,
                     timeout=None,
@@ -85,14 +81,7 @@ _work: list[Callable[[object], object]] = []
 
 def _begin(work: Callable[[object], object], parent: int) -> None:
     _work[:] = [work]
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: int) -> None:
-    """End this process soon after its parent, which may be killed without a chance to say so."""
-    while os.getppid() == parent:
-        time.sleep(ORPHAN_CHECK)
-    os._exit(1)
+    end_with_parent(parent)
 
 
 def _is_ready() -> bool:
@@ -101,16 +90,3 @@ def _is_ready() -> bool:
 
 def _do(task: object) -> object:
     return _work[0](task)
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which this process handles."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

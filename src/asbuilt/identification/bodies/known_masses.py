@@ -142,9 +142,9 @@ def known_mass_notes(model: RobotModel) -> tuple[str, ...]:
     """Return a note that states the known masses, none if there are none."""
     if not model.mass_ranges:
         return ()
-    told = []
+    stated = []
     for known in model.mass_ranges:
         name = known.links[0] if len(known.links) == 1 else f"{len(known.links)} links together"
         upper = f" to {known.upper:.4g}" if math.isfinite(known.upper) else " or more"
-        told.append(f"{name} {known.lower:.4g}{upper} kg")
-    return (f"Masses given, which fit and export keep: {', '.join(told)}",)
+        stated.append(f"{name} {known.lower:.4g}{upper} kg")
+    return (f"Masses given, which fit and export keep: {', '.join(stated)}",)

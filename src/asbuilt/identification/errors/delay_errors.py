@@ -103,15 +103,15 @@ class DelayColumns:
         )
         left, whole = grams.sum(axis=0), D.sum(axis=0)
         m = shares.shape[-1]
-        told = np.flatnonzero(np.diag(left) > ALONE * np.maximum(np.diag(whole), TINY))
+        found = np.flatnonzero(np.diag(left) > ALONE * np.maximum(np.diag(whole), TINY))
         increments, swell = np.zeros(m), np.ones(m)
         covariance = np.diag(np.full(m, np.inf))
-        if told.size:
-            inverse = np.linalg.inv(left[np.ix_(told, told)])
-            increments[told] = inverse @ scores.sum(axis=0)[told]
+        if found.size:
+            inverse = np.linalg.inv(left[np.ix_(found, found)])
+            increments[found] = inverse @ scores.sum(axis=0)[found]
             if not textbook and len(scores) >= FEWEST_BLOCKS:
-                swell[told] = _swell(inverse, grams[:, told][:, :, told], scores[:, told])
-            covariance[np.ix_(told, told)] = inverse * np.outer(swell[told], swell[told])
+                swell[found] = _swell(inverse, grams[:, found][:, :, found], scores[:, found])
+            covariance[np.ix_(found, found)] = inverse * np.outer(swell[found], swell[found])
         return DelaySolution(increments, covariance, -self.root @ moved, swell, len(scores))
 
 
@@ -164,12 +164,12 @@ def delay_errors(
     columns = delay_columns(model, base, estimate, samples, block_seconds=block_seconds)
     solved = columns.solve(shares, textbook=textbook)
     known = np.array([samples[r].delay_errors[k] for r, k in free])
-    told = np.isfinite(np.diag(solved.covariance))
-    size = np.sqrt(np.diag(solved.covariance)[told])
-    swell = np.maximum(known[told] / size, 1.0)
-    V = solved.covariance[np.ix_(told, told)] * np.outer(swell, swell)
-    follows = solved.follows[:, told]
-    delays = np.array([samples[r].delay[k] for r, k in free])[told]
+    found = np.isfinite(np.diag(solved.covariance))
+    size = np.sqrt(np.diag(solved.covariance)[found])
+    swell = np.maximum(known[found] / size, 1.0)
+    V = solved.covariance[np.ix_(found, found)] * np.outer(swell, swell)
+    follows = solved.follows[:, found]
+    delays = np.array([samples[r].delay[k] for r, k in free])[found]
     return DelayErrors(np.asarray(follows @ V @ follows.T), np.asarray(-follows @ delays))
 
 

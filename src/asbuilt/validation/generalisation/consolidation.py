@@ -46,13 +46,13 @@ def consolidated(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """
     merged = _together(findings)
     present = {each.code for each in merged if each.severity != "info"}
-    told = [
+    kept_findings = [
         replace(each, severity="info")
         if each.severity == "warning" and present.intersection(EXPLAINED.get(each.code, ()))
         else each
         for each in merged
     ]
-    return tuple(sorted(told, key=_rank))
+    return tuple(sorted(kept_findings, key=_rank))
 
 
 def _rank(finding: Finding) -> tuple[int, int]:
@@ -66,16 +66,16 @@ def _together(findings: Sequence[Finding]) -> list[Finding]:
     for each in findings:
         if each.severity == "warning" and (each.joint is not None or _source(each)):
             groups.setdefault(each.code, []).append(each)
-    told: list[Finding] = []
+    kept_findings: list[Finding] = []
     for each in findings:
         group = groups.get(each.code, [each])
         if each is group[0]:
-            told.append(_naming_all(group))
+            kept_findings.append(_naming_all(group))
         elif any(each is other for other in group):
-            told.append(replace(each, severity="info"))
+            kept_findings.append(replace(each, severity="info"))
         else:
-            told.append(each)
-    return told
+            kept_findings.append(each)
+    return kept_findings
 
 
 def _naming_all(group: Sequence[Finding]) -> Finding:

@@ -77,16 +77,16 @@ def profile_numbers(
     x = P @ (A.T @ d)
     held = spread < WIDEST
     kept = np.where(held, 1.0 - np.diag(P) / spread**2, 1.0)
-    told = kept > UNTOUCHED
-    part = np.where(told, kept, 1.0)
-    variance = np.where(told, np.diag(P) / part, np.inf)
+    determined = kept > UNTOUCHED
+    part = np.where(determined, kept, 1.0)
+    variance = np.where(determined, np.diag(P) / part, np.inf)
     variance[~held & (np.diag(P) > 0.25 * WIDEST**2)] = np.inf
     left = d - A @ x
     freedom = max(len(d) - int(np.sum(~held)), 1)
     chi_square = float(left @ left + np.sum((x / spread)[held] ** 2))
     misfit = max(1.0, np.sqrt(chi_square / freedom))
     return Profile(
-        np.where(told, x / part, np.nan) * size,
+        np.where(determined, x / part, np.nan) * size,
         np.sqrt(variance) * size * misfit,
         tuple(_aliases(P, np.where(held, 1.0 / spread**2, 0.0), j) for j in range(len(size))),
         misfit,
