@@ -245,8 +245,10 @@ def test_json_is_strict_and_alone_on_stdout(recorded: dict[str, Path]) -> None:
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout, parse_constant=refuse_constant)
-    assert found["validation"] == []
-    assert "nothing_held_out" in {warning["code"] for warning in found["warnings"]}
+    assert [each["source"].partition(", ")[2] for each in found["validation"]] == [
+        f"held out {found['holdout']}"
+    ]
+    assert "final_fit" in {warning["code"] for warning in found["warnings"]}
 
 
 def test_flipped_torque_is_refused_with_its_cure(

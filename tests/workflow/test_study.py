@@ -70,7 +70,7 @@ def test_held_out_blocks_come_before_other_recordings(recordings: list[Recording
 
 
 def test_without_held_out_data_the_result_says_so(recordings: list[Recording]) -> None:
-    study = identify(load_robot("scara"), recordings)
+    study = identify(load_robot("scara"), recordings, options=StudyOptions(holdout=None))
     assert "nothing_held_out" in {warning.code for warning in study.findings}
     assert study.result.validation == ()
 

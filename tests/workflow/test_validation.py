@@ -26,7 +26,7 @@ from asbuilt.writers.reports.study_files import write_result
 from command_line import document
 
 ARM = "scara"
-WLS = StudyOptions(method="wls")
+WLS = StudyOptions(method="wls", holdout=None)
 
 
 def recorded(seed: int, duration: float, harmonics: int) -> Recording:

@@ -31,6 +31,7 @@ from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.workflow.options import (
+    AUTOMATIC,
     BLOCKS,
     ROLLOUT,
     ControllerOptions,
@@ -78,9 +79,8 @@ def identify(
         )
         carried = None
         if loaded:
-            under_load = PayloadOptions(
-                chain=chain, holdout=options.holdout, checked=options.checked
-            )
+            held = None if options.holdout == AUTOMATIC else options.holdout
+            under_load = PayloadOptions(chain=chain, holdout=held, checked=options.checked)
             carried = identify_payload(study.result, loaded, options=under_load)
         files, notes = (
             write_study(out, study, payload=carried, command=sys.argv[1:])

@@ -27,6 +27,8 @@ else:
 
 BLOCKS = "blocks:5s:3"
 """The usual rule of what to hold out."""
+AUTOMATIC = "auto"
+"""Hold out for the verdict, by the usual rule, and fit the final values to everything."""
 
 
 def _drive(text: str) -> DriveSet | str:
@@ -58,8 +60,13 @@ def horizons(text: str) -> tuple[float, ...]:
     return tuple(dict.fromkeys(values))
 
 
+def hold_out_rule(text: str) -> str | None:
+    """Return a rule of `hold_out`, or `AUTOMATIC`, that a text names; None for "none"."""
+    return None if text.strip().lower() == "none" else text.strip()
+
+
 def _check_rule(rule: str | None) -> None:
-    if rule not in (None, "auto"):
+    if rule not in (None, AUTOMATIC):
         from asbuilt.experiment.signal.hold_out import parse_rule  # noqa: PLC0415 (heavy)
 
         parse_rule(rule)
@@ -80,9 +87,13 @@ ROLLOUT = {
 }
 HOLDOUT = {
     "metavar": "RULE",
+    "help": "hold out for validation: blocks:5s:3 (every third 5 s block), last:0.3, auto, or none",
+    "parse": hold_out_rule,
+}
+HOLDOUT_AND_REFIT = HOLDOUT | {
     "help": (
-        "hold out for validation: blocks:5s:3 (every third 5 s block), last:0.3, or auto: a third,"
-        " then the final fit is to everything"
+        "hold out for validation: auto (a third, the final fit is to everything; nothing if other"
+        " recordings validate), none, blocks:5s:3 (every third 5 s block) or last:0.3"
     ),
 }
 
@@ -103,8 +114,10 @@ class StudyOptions:
     sweep_cutoff
         Choose the cutoff of the low-pass by held-out error.
     holdout
-        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out. "auto" holds out a
-        third for the verdict and then fits the final values to everything.
+        "auto" holds out a third for the verdict and fits the final values to everything; with other
+        recordings to validate on, or recordings below 6 s, it holds nothing out. A rule of
+        `hold_out`, such as "blocks:5s:3", takes the part out of the result too; None holds nothing
+        out.
     undetermined
         Directions that no motion excites stay at CAD and are named, or are refused.
     mounting
@@ -148,7 +161,7 @@ class StudyOptions:
     )
     chain: SignalChain | None = None
     sweep_cutoff: bool = False
-    holdout: str | None = field(default=None, metadata=HOLDOUT)
+    holdout: str | None = field(default=AUTOMATIC, metadata=HOLDOUT_AND_REFIT)
     undetermined: Literal["toward_prior", "refuse"] = _option(
         "toward_prior",
         "HOW",

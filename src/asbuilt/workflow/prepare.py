@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import UsageError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.saturation import outside_saturation
 from asbuilt.experiment.logs.long_recordings import head_of, prepare_logged
 from asbuilt.experiment.logs.recordings import Recorded
@@ -19,13 +19,14 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.workflow.delays import Delays, settle_delays
+from asbuilt.workflow.options import AUTOMATIC
 
 Progress = Callable[[str, float], None]
 
-AUTOMATIC = "auto"
-"""Hold out for the verdict, by the usual rule, and fit the final values to everything."""
 DIGESTED = 50_000
 """Samples in a fingerprint; a stream holds more at once."""
+FEWEST = 10
+"""Samples, after the filters, below which a part is too short to be held out by default."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +49,8 @@ class Prepared:
         Fingerprints of the recordings, empty for samples.
     delay
         Delays of the recordings, empty for samples.
+    whole
+        The recordings undivided, if they were divided by default; else empty.
     """
 
     chain: SignalChain | None
@@ -59,6 +62,11 @@ class Prepared:
     others: tuple[tuple[Samples, ...], ...]
     digests: tuple[str, ...]
     delay: tuple[RecordingDelay, ...] = ()
+    whole: tuple[Samples, ...] = ()
+
+    def undivided(self) -> Prepared:
+        """Return the same with nothing held out, if that was so by default."""
+        return replace(self, training=self.whole, held_out=(), whole=(), holdout=None)
 
 
 def prepare(
@@ -94,7 +102,9 @@ def prepare(
     chain
         The signal chain; what it leaves open is chosen from the recordings.
     holdout
-        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out.
+        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out. "auto" holds out by the
+        usual rule if enough is left of both parts, estimates delays on both, and keeps the
+        recordings undivided too.
     checked
         Refuse recordings in which `check_recording` finds errors.
     tolerated
@@ -130,14 +140,18 @@ def prepare(
         settled = resolve_chain(settled, *chosen)
     if settle is not None:
         settled = settle(settled, _chosen_by(recordings))
-    holdout = settled_rule(recordings, holdout)
+    automatic, holdout = holdout == AUTOMATIC, settled_rule(recordings, holdout)
     digests = tuple(digest(head) for head in _chosen_by(recordings))
     late = Delays(settled, tuple(delays))
     if chosen and not delays and (estimate_delay or settled.delay != "auto"):
         report("delay", 0.0)
-        late = settle_delays(model, _chosen_by(recordings), digests, settled, holdout)
+        rule = None if automatic else holdout
+        late = settle_delays(model, _chosen_by(recordings), digests, settled, rule)
         settled = late.chain
-    training, held_out = divided(recordings, settled, holdout, late)
+    whole = tuple(_samples(item, settled, late) for item in recordings)
+    if automatic and not _enough_left(whole, holdout):
+        holdout = None
+    training, held_out = _parts(whole, holdout)
     return Prepared(
         chain=settled if chosen else None,
         holdout=holdout,
@@ -148,35 +162,26 @@ def prepare(
         others=tuple(tuple(_samples(item, settled) for item in group) for group in others),
         digests=digests,
         delay=late.recordings,
+        whole=whole if automatic and holdout is not None else (),
     )
 
 
 def divided(
-    recordings: Sequence[Recorded],
-    chain: SignalChain,
-    holdout: str | None,
-    delays: Delays | None = None,
+    recordings: Sequence[Recorded], chain: SignalChain, holdout: str | None
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
     """Filter recordings and divide them into training and held-out samples."""
-    samples = tuple(_samples(item, chain, delays) for item in recordings)
-    if holdout is None:
-        return samples, ()
-    parts = [hold_out(each, holdout) for each in samples]
-    return (
-        tuple(training for training, _ in parts),
-        tuple(replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts),
-    )
+    return _parts([_samples(item, chain) for item in recordings], holdout)
 
 
 def settled_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | None:
     """Return the rule that `AUTOMATIC` stands for: that of the shortest recording."""
-    if holdout != AUTOMATIC:
-        return holdout
-    lengths = [
-        float(part.t[-1] - part.t[0])
-        for part in (item if isinstance(item, Samples) else head_of(item) for item in recordings)
-    ]
-    return usual_rule(min(lengths))
+    return usual_rule(shortest(recordings)) if holdout == AUTOMATIC else holdout
+
+
+def shortest(recordings: Sequence[Recorded]) -> float:
+    """Return the length of the shortest recording [s]."""
+    parts = (item if isinstance(item, Samples) else head_of(item) for item in recordings)
+    return min(float(part.t[-1] - part.t[0]) for part in parts)
 
 
 def digest(recording: Recording) -> str:
@@ -200,6 +205,30 @@ def _checked(
 
 def _chosen_by(recordings: Sequence[Recorded]) -> list[Recording]:
     return [head_of(item) for item in recordings if not isinstance(item, Samples)]
+
+
+def _parts(
+    whole: Sequence[Samples], holdout: str | None
+) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
+    """Divide samples into training and held-out ones."""
+    if holdout is None:
+        return tuple(whole), ()
+    parts = [hold_out(each, holdout) for each in whole]
+    return (
+        tuple(training for training, _ in parts),
+        tuple(replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts),
+    )
+
+
+def _enough_left(whole: Sequence[Samples], holdout: str | None) -> bool:
+    """Return whether the filters leave enough of both parts of every recording."""
+    if holdout is None:
+        return False
+    try:
+        parts = _parts(whole, holdout)
+    except RecordingError:
+        return False
+    return min(part.n_filtered for side in parts for part in side) >= FEWEST
 
 
 def _samples(item: Recorded, chain: SignalChain, delays: Delays | None = None) -> Samples:

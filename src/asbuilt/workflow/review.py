@@ -19,7 +19,7 @@ from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_r
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
-from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.options import AUTOMATIC, StudyOptions
 from asbuilt.workflow.prepare import Progress
 from asbuilt.workflow.study import identify
 
@@ -82,6 +82,8 @@ def review(
         )
     if options.method == "auto":
         options = replace(options, method="wls")
+    if options.holdout == AUTOMATIC:
+        options = replace(options, holdout=None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = fitted_recordings(model, (recordings,))
     study = identify(model, logged, options=options, progress=progress)

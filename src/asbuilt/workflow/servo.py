@@ -25,7 +25,7 @@ from asbuilt.identification.servo.servo_estimate import UNEXPLAINED, ServoEstima
 from asbuilt.tables import rounded
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.prepare import Prepared
+from asbuilt.workflow.prepare import Prepared, settled_rule
 
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
@@ -65,7 +65,7 @@ def settle_servo(
         resolve_chain(chain, *heads),
         delay=_stated_delay(chain),
         shared=options.same_servos,
-        holdout=options.holdout,
+        holdout=settled_rule(recordings, options.holdout),
     )
     return (
         [with_servo(item, found.servo) for item in recordings],
@@ -118,8 +118,19 @@ def explained(
     """
     if found is None or prepared.chain is None:
         return prepared
+    cutoff = prepared.chain.cutoff or np.inf
+    return replace(
+        prepared,
+        training=_explained(prepared.training, recordings, found, cutoff),
+        whole=_explained(prepared.whole, recordings, found, cutoff) if prepared.whole else (),
+    )
+
+
+def _explained(
+    parts: Sequence[Samples], recordings: Sequence[Recorded], found: ServoEstimate, cutoff: float
+) -> tuple[Samples, ...]:
     kept = []
-    for samples, item in zip(prepared.training, recordings, strict=True):
+    for samples, item in zip(parts, recordings, strict=True):
         windows = [
             (block.start, block.stop)
             for block in found.unexplained
@@ -127,8 +138,8 @@ def explained(
         ]
         left = _outside(samples, windows)
         if left is not None and not isinstance(item, Samples):
-            kept.append(moving_faster(left, head_of(item), prepared.chain.cutoff or np.inf))
-    return replace(prepared, training=tuple(kept)) if kept else prepared
+            kept.append(moving_faster(left, head_of(item), cutoff))
+    return tuple(kept) or tuple(parts)
 
 
 def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Samples | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from asbuilt.description.load import load_robot
@@ -128,9 +127,4 @@ def _prepared(
 def as_validated(result: IdentificationResult, samples: Samples) -> IdentificationResult:
     """Return the result with the values of its training fit, if the samples were held out of it."""
     held = result.holdout is not None and samples.source.endswith(f", held out {result.holdout}")
-    if result.trained is None or not held:
-        return result
-    values = zip(result.parameters, result.trained.tolist(), strict=True)
-    return replace(
-        result, parameters=tuple(replace(each, estimate=value) for each, value in values)
-    )
+    return result.of_training if held else result

@@ -7,9 +7,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from asbuilt.dynamics.kernels import compilation
-from asbuilt.dynamics.kernels.compilation import compiled, source_digest
+from asbuilt.dynamics.kernels.compilation import MachineCodeFiles, compiled, source_digest
 
 
 def fresh_twice(folder: Path):
@@ -66,3 +67,53 @@ def test_a_function_that_cannot_be_cached_is_compiled_all_the_same():
     namespace = {}
     exec("def twice(x):\n    return 2 * x", namespace)
     assert compiled(namespace["twice"])(3) == 6
+
+
+@pytest.mark.parametrize("step", ["_save_index", "_save_data"])
+def test_two_processes_that_compile_at_once_each_find_their_own_code(
+    tmp_path: Path, step: str
+) -> None:
+    """Both have read the empty index; the second writes before a step of the first."""
+    one, other, later = (
+        MachineCodeFiles(IndexDataCacheFile(str(tmp_path), "twice-1.py3", "stamp"), "sources")
+        for _ in range(3)
+    )
+    other._load_index = dict
+    write = getattr(one, step)
+
+    def overtaken(*given):
+        other.save("of floats", b"code of floats")
+        write(*given)
+
+    setattr(one, step, overtaken)
+    one.save("of integers", b"code of integers")
+    assert later.load("of integers") in (None, b"code of integers")
+    assert later.load("of floats") in (None, b"code of floats")
+    for key in ("of integers", "of floats"):
+        later.save(key, f"code {key}".encode())
+    assert [later.load(key) for key in ("of integers", "of floats")] == [
+        b"code of integers",
+        b"code of floats",
+    ]
+
+
+def test_no_process_loads_code_of_other_sources_while_new_code_is_written(tmp_path: Path) -> None:
+    def kept(sources):
+        index = IndexDataCacheFile(str(tmp_path), "twice-1.py3", "stamp")
+        return MachineCodeFiles(index, sources)
+
+    old, new, reader = kept("old"), kept("new"), kept("new")
+    old.save("of floats", b"old code")
+    seen = []
+    for step in ("_save_index", "_save_data"):
+        write = getattr(new, step)
+
+        def looked_at(*given, write=write):
+            write(*given)
+            seen.append(reader.load("of floats"))
+
+        setattr(new, step, looked_at)
+    new.save("of floats", b"new code")
+    assert seen == [None, b"new code"]
+    assert old.load("of floats") is None
+    assert len([*tmp_path.glob("*.nbc")]) == 1

@@ -55,7 +55,7 @@ def test_result_simulates_what_was_held_out_of_its_own_recording(study) -> None:
 
 def test_a_rollout_needs_data_that_were_not_fitted(study) -> None:
     with pytest.raises(UsageError, match="not fitted to"):
-        identify(servo_arm(), study[1], options=StudyOptions(rollout=(0.5,)))
+        identify(servo_arm(), study[1], options=StudyOptions(rollout=(0.5,), holdout=None))
 
 
 @pytest.mark.parametrize("text", ["0", "a,b", "-1", "nan", ""])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -271,6 +271,16 @@ class IdentificationResult:
     def weights(self) -> Array:
         """One over the standard deviation of each joint's torque residual, (n,); always finite."""
         return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
+
+    @property
+    def of_training(self) -> IdentificationResult:
+        """The result with the values of the fit that `validation` is of; itself if that is it."""
+        if self.trained is None:
+            return self
+        values = zip(self.parameters, self.trained.tolist(), strict=True)
+        return replace(
+            self, parameters=tuple(replace(each, estimate=value) for each, value in values)
+        )
 
     @property
     def cad_values(self) -> Array:

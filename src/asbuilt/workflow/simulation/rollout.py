@@ -79,7 +79,8 @@ def roll_out_result(
     parts = [_simulated(result, with_servo(item, result.servo), options.chain) for item in logged]
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
-    return simulated_rollouts(result, parts, horizons, cad=cad)
+    results = [_not_of(result, item, options.chain) for item in logged]
+    return simulated_rollouts(results, parts, horizons, cad=cad)
 
 
 def roll_out_robot(
@@ -111,21 +112,23 @@ def roll_out_robot(
 
 
 def simulated_rollouts(
-    result: IdentificationResult,
+    results: Sequence[IdentificationResult],
     parts: Sequence[Simulated],
     horizons: Sequence[float],
     *,
     cad: RobotModel | None = None,
 ) -> tuple[Rollout, ...]:
-    """Return the rollouts of parts of recordings, with CAD beside as built."""
+    """Return the rollouts of parts of recordings, each by its own result, with CAD beside it."""
+    if not parts:
+        return ()
     by_cad, built = [], []
-    for part in parts:
+    for result, part in zip(results, parts, strict=True):
         servo = result.servo or _servo(part[0])
         by_cad.append(_driven(robot_as_described(cad or result.model, servo), part))
         built.append(_driven(robot_as_built(result, servo), part))
     return tuple(
         roll_out(
-            result.model,
+            results[0].model,
             [cut_windows(one, samples, horizon, signal) for one, samples, signal in parts],
             by_cad,
             built,
@@ -165,9 +168,20 @@ def _simulated(
     result: IdentificationResult, item: Recorded, chain: SignalChain | None
 ) -> Simulated:
     """Return the part of a recording that the result was not identified from."""
-    trained = not isinstance(item, Samples) and digest(head_of(item)) in result.digests
-    holdout = result.holdout if trained and chain is None else None
+    holdout = result.holdout if _trained(result, item) and chain is None else None
     return _part(item, chain or result.chain, holdout)
+
+
+def _not_of(
+    result: IdentificationResult, item: Recorded, chain: SignalChain | None
+) -> IdentificationResult:
+    """Return the result with values that are not of the part of a recording that is simulated."""
+    held = result.holdout is not None and chain is None and _trained(result, item)
+    return result.of_training if held else result
+
+
+def _trained(result: IdentificationResult, item: Recorded) -> bool:
+    return not isinstance(item, Samples) and digest(head_of(item)) in result.digests
 
 
 def _whole(item: Recorded, chain: SignalChain) -> Simulated:

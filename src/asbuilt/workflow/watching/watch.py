@@ -157,11 +157,12 @@ def _thresholds(
 ) -> tuple[Thresholds, list[Finding]]:
     parts: list[Observed] = []
     findings: list[Finding] = []
+    unseen = result.holdout is not None and result.trained is None
     for each in quiet or [log]:
         trained = digest(head_of(each)) in result.digests
         whole = list(observed_parts(observer, each, velocities=measured))
-        if trained and result.holdout is not None and quiet:
-            whole = [held_out_part(part, result.holdout) for part in whole]
+        if trained and unseen and quiet:
+            whole = [held_out_part(part, str(result.holdout)) for part in whole]
         elif trained:
             findings.append(
                 Finding(

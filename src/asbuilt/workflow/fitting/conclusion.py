@@ -1,0 +1,221 @@
+"""From fits to the result of a study, and all that is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from asbuilt.description.locking import lock_findings
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.experiment.quality.checks import RecordingCheck
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure, Finding
+from asbuilt.identification.bodies.known_masses import known_mass_notes
+from asbuilt.identification.drives.drive_choice import DriveChoice
+from asbuilt.identification.errors.position_noise_bias import position_noise_findings
+from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
+from asbuilt.identification.result.as_built_parameters import mass_findings
+from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.attribution.attribution import Attribution, attribute
+from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
+from asbuilt.validation.generalisation.consolidation import consolidated
+from asbuilt.validation.generalisation.generalisation import (
+    repetition_findings,
+    validation_findings,
+)
+from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
+from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
+from asbuilt.validation.prediction import Validation
+from asbuilt.workflow.cutoff_sweep import CutoffSweep
+from asbuilt.workflow.delays import delay_findings
+from asbuilt.workflow.fitting.fits import Fits
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.servo import servo_findings, servo_notes
+from asbuilt.workflow.simulation.refinement import refinement_findings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conclusion:
+    """Hold the result of fits, its predictions, and what is said of it."""
+
+    result: IdentificationResult
+    findings: tuple[Finding, ...]
+    training: tuple[Validation, ...]
+    validations: tuple[Validation, ...]
+    attribution: Attribution | None
+
+
+def conclude_study(
+    fits: Fits,
+    options: StudyOptions,
+    cutoffs: CutoffSweep | None,
+    further: Sequence[Finding] = (),
+) -> Conclusion:
+    """Make a result of fits, predict with them, and say what is to be said.
+
+    Parameters
+    ----------
+    fits
+        The fits.
+    options
+        How the study identifies.
+    cutoffs
+        How the cutoff was chosen, if it was swept.
+    further
+        Findings of other steps.
+    """
+    prepared = fits.prepared
+    held = (*prepared.held_out, *prepared.validation)
+    trained, validations = fits.predicted(fits.samples), fits.judged(held)
+    cause_data, too_short = _cause_data(fits, options.block_seconds)
+    train, train_cad = _together(fits, trained)
+    result = fits.final.concluded(
+        train,
+        validations[0].metrics_cad if validations else train_cad,
+        validation=[each.metrics_as_built for each in validations],
+        cause_data=cause_data,
+        chain=prepared.chain,
+        holdout=prepared.holdout,
+        digests=prepared.digests,
+        delay=prepared.delay,
+        notes=_notes(fits, cutoffs),
+        servo=None if fits.servo is None else fits.servo.servo,
+        servo_errors=None if fits.servo is None else fits.servo.errors,
+        corrected=() if fits.mounting is None else ("mounting",),
+        trained=fits.validated.estimate.beta if fits.refitted else None,
+    )
+    attribution = None if cause_data is None else attribute(result)
+    findings = (
+        *result.findings,
+        *_drive_findings(fits.choice),
+        *_check_findings(prepared.checks),
+        *lock_findings(fits.model.locked_joints),
+        *delay_findings(result, prepared.delay, fits.final.delay_shift),
+        *further,
+        *_validation_findings(fits, train, validations, further),
+        *repetition_findings(prepared.training, held),
+        *too_short,
+        *_model_findings(fits, result, attribution, options),
+        *cad_verdict_findings(validations),
+        *mass_findings(result),
+    )
+    return Conclusion(result, consolidated(findings), trained, validations, attribution)
+
+
+def _validation_findings(
+    fits: Fits,
+    train: TorqueMetrics,
+    validations: Sequence[Validation],
+    further: Sequence[Finding],
+) -> tuple[Finding, ...]:
+    """Return what validation data say beside the training error of the same fit."""
+    if not validations and any(each.code == "nothing_held_out" for each in further):
+        return ()
+    of_training = fits.validated.metrics(fits.prepared.training)[0] if fits.refitted else train
+    return validation_findings(of_training, validations)
+
+
+def _model_findings(
+    fits: Fits,
+    result: IdentificationResult,
+    attribution: Attribution | None,
+    options: StudyOptions,
+) -> tuple[Finding, ...]:
+    """Return what the samples say against the model: effects and causes that it lacks."""
+    prepared = fits.prepared
+    return (
+        *hidden_cause_findings(
+            result,
+            fits.samples,
+            fits.choice.drive,
+            tilt=None if attribution is None else attribution.tilt,
+            mounting=fits.mounting,
+            block_seconds=options.block_seconds,
+        ),
+        *_gain_findings(fits.samples),
+        *position_noise_findings(
+            result,
+            fits.samples,
+            [check.position_noise for check in prepared.checks],
+            prepared.chain.cutoff if prepared.chain else None,
+        ),
+        *servo_findings(fits.model, fits.servo, fits.choice.drive),
+        *refinement_findings(fits.refined),
+        *cause_findings(attribution),
+        *missing_effect_findings(result, fits.samples, block_seconds=options.block_seconds),
+    )
+
+
+def _together(fits: Fits, predictions: Sequence[Validation]) -> tuple[TorqueMetrics, TorqueMetrics]:
+    """Return the metrics of several predictions together, as built and by CAD."""
+    as_built, by_cad = (TorqueTally(fits.model.joint_names) for _ in range(2))
+    for each in predictions:
+        as_built.add(each.measured, each.predicted)
+        by_cad.add(each.measured, each.predicted_cad)
+    source = ", ".join(fits.final.information.sources)
+    return as_built.metrics(source), by_cad.metrics(source)
+
+
+def _cause_data(
+    fits: Fits, block_seconds: float | None
+) -> tuple[CauseData | None, tuple[Finding, ...]]:
+    """Return what causes are weighed by, or a finding that the recordings are too short for it."""
+    held = (*fits.prepared.held_out, *fits.prepared.validation)
+    try:
+        return gather_cause_data(
+            fits.model,
+            fits.final.base,
+            fits.prepared.training,
+            held[:1],
+            block_seconds=block_seconds,
+        ), ()
+    except IdentifiabilityError as problem:
+        return None, (
+            Finding(
+                "causes_undetermined",
+                "warning",
+                f"Causes of CAD errors, and their cost in torque, are undetermined: {problem}",
+                Cure("record longer"),
+            ),
+        )
+
+
+def _notes(fits: Fits, cutoffs: CutoffSweep | None) -> tuple[str, ...]:
+    return (
+        *known_mass_notes(fits.model),
+        *(() if fits.mounting is None else (fits.mounting.sentence,)),
+        *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
+        *servo_notes(fits.model, fits.servo),
+    )
+
+
+def _drive_findings(choice: DriveChoice) -> tuple[Finding, ...]:
+    said = (
+        Finding("drive_terms", "info", f"{sentence[0].upper()}{sentence[1:]}")
+        for sentence in choice.sentences
+    )
+    return (*said, *choice.findings)
+
+
+def _check_findings(checks: Sequence[RecordingCheck]) -> tuple[Finding, ...]:
+    return tuple(
+        replace(finding, message=f"{recording_name(check.source)}: {finding.message}")
+        for check in checks
+        for finding in check.warnings
+    )
+
+
+def _gain_findings(training: Sequence[Samples]) -> tuple[Finding, ...]:
+    if all(samples.torque_source != "current" for samples in training):
+        return ()
+    return (
+        Finding(
+            "gains_assumed",
+            "info",
+            "Torques come from currents, whose gains count as exact: if the torque per ampere of a"
+            " joint is 3 % off, so are its parameters, beyond the standard errors",
+            Cure("identify the gains with a payload of known mass", call="find_gains"),
+        ),
+    )

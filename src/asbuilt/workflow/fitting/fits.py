@@ -1,0 +1,150 @@
+"""Fits of a study: one without what is held out, for the verdict, and the final one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.calibration.mounting import Mounting, find_mounting
+from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
+from asbuilt.identification.identify import Fit, fit_samples
+from asbuilt.identification.servo.servo_estimate import ServoEstimate
+from asbuilt.validation.prediction import Validation, predict_both
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.prepare import Prepared, Progress
+from asbuilt.workflow.simulation.refinement import Refined, refine_study
+from asbuilt.workflow.simulation.rollout import Simulated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """Hold the fits of a study and what was chosen for them.
+
+    Attributes
+    ----------
+    model
+        The robot, its gravity as estimated if that was asked for.
+    prepared
+        The samples; not divided if that had left too little to fit.
+    final, validated
+        The fit whose values are the result, and the fit that validation data are predicted by; one
+        and the same unless the final one has seen what was held out.
+    choice
+        The drive terms, chosen on the training part.
+    mounting
+        The direction of gravity, if it was estimated (on all samples of the final fit).
+    servo, refined
+        The position servo and the refinement, if any.
+    """
+
+    model: RobotModel
+    prepared: Prepared
+    final: Fit
+    validated: Fit
+    choice: DriveChoice
+    mounting: Mounting | None
+    servo: ServoEstimate | None
+    refined: Refined | None
+
+    @property
+    def samples(self) -> tuple[Samples, ...]:
+        """The samples of the final fit."""
+        return self.prepared.whole or self.prepared.training
+
+    @property
+    def refitted(self) -> bool:
+        """Whether the final fit is of more data than the one that is validated."""
+        return self.final is not self.validated
+
+    def predicted(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
+        """Predict samples of the final fit by it, and by CAD."""
+        return tuple(_predicted(self.final, each) for each in samples)
+
+    def judged(self, samples: Sequence[Samples]) -> tuple[Validation, ...]:
+        """Predict validation data by the fit that has not seen them, and by CAD."""
+        return tuple(_predicted(self.validated, each) for each in samples)
+
+
+def fit_study(
+    model: RobotModel,
+    prepared: Prepared,
+    options: StudyOptions,
+    servo: ServoEstimate | None,
+    parts: Sequence[Simulated],
+    report: Progress,
+) -> Fits:
+    """Choose drive terms, estimate the mounting, and fit.
+
+    What was held out by default is not if the rest is too short to fit.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    prepared
+        The samples.
+    options
+        How to identify.
+    servo
+        The position servo that was identified before, if any.
+    parts
+        Simulated windows for a refinement.
+    report
+        Called with the name of a step and the fraction done.
+    """
+    given = (options, servo, parts, report)
+    if prepared.whole:
+        try:
+            return _fitted(model, prepared, *given)
+        except IdentifiabilityError:
+            prepared = prepared.undivided()
+    return _fitted(model, prepared, *given)
+
+
+def _fitted(
+    model: RobotModel,
+    prepared: Prepared,
+    options: StudyOptions,
+    servo: ServoEstimate | None,
+    parts: Sequence[Simulated],
+    report: Progress,
+) -> Fits:
+    used = prepared.whole or prepared.training
+    choice = settle_drive(model, prepared.training, options.drive)
+    mounting = (
+        find_mounting(model, used, drive=choice.drive, block_seconds=options.block_seconds)
+        if options.mounting == "estimate"
+        else None
+    )
+    model = model if mounting is None else mounting.model
+    base = find_base_parameters(model, choice.drive)
+
+    def fitted(samples: Sequence[Samples]) -> Fit:
+        fit = fit_samples(
+            model,
+            samples,
+            base=base,
+            method=options.method,
+            undetermined=options.undetermined,
+            errors=options.errors,
+            block_seconds=options.block_seconds,
+            threads=options.threads,
+            fitted_nonlinear=choice.fitted,
+        )
+        return replace(fit, provenance=(*fit.provenance, *choice.sentences))
+
+    final = fitted(used)
+    validated = fitted(prepared.training) if prepared.whole else final
+    refined = None
+    if options.refine is not None:
+        final, servo, refined = refine_study(final, parts, servo, options.rollout, report)
+        validated = final
+    return Fits(model, prepared, final, validated, choice, mounting, servo, refined)
+
+
+def _predicted(fit: Fit, samples: Samples) -> Validation:
+    return predict_both(fit.model, fit.base, fit.estimate.beta, fit.design, samples)
