@@ -65,7 +65,7 @@ def tutorial(folder: Path) -> None:
     """Run the tutorial up to the second motion and keep its pictures."""
     for line in (
         "simulate ur10e --preset lab -o log.csv",
-        "identify ur10e log.csv --holdout blocks:2s:3 -o study",
+        "identify ur10e log.csv -o study",
         "compare study/result.json -o comparison",
         "excite ur10e --given study/result.json --starts 2 --time-limit 60 -o motion.csv",
         "view ur10e motion.csv --save motion.webp",

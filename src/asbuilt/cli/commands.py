@@ -144,7 +144,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "identify",
             "Identify the robot from recordings, and validate the result.",
             (
-                "ur10e log.csv --holdout blocks:5s:3 -o study",
+                "ur10e log.csv -o study",
                 "ur10e log.csv --validate other.csv --torque-source current",
             ),
             "identify",

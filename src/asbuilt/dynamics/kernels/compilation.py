@@ -15,7 +15,7 @@ from numba import njit
 from numba.core.caching import IndexDataCacheFile
 
 
-class MachineCodeFiles(IndexDataCacheFile):  # type: ignore[misc]
+class MachineCodeFiles(IndexDataCacheFile):
     """Keep the machine code of a function for several processes that compile it at once.
 
     Numba numbers the files of a function by its index, which processes read before others have
