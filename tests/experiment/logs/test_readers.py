@@ -310,7 +310,7 @@ BAD = {
     "fake.parquet": ("nonsense", "cannot be read as Parquet"),
     "fake.h5": ("nonsense", "cannot be read as HDF5"),
     "fake.db3": ("nonsense", "cannot be read as a ROS 2 bag"),
-    "fake.mcap": ("nonsense", "cannot be read as a ROS 2 bag"),
+    "fake.mcap": ("nonsense", "cannot be read as MCAP"),
     "comma.csv": (
         "t,q1,tau1\n0,0,1,5,2,5\n",
         "line 2: 6 fields where 3 columns are expected; export decimal points, or semicolons",

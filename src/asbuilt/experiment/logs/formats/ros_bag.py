@@ -18,7 +18,7 @@ from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.findings import Cure
 
-_JOINT_STATE = "sensor_msgs/msg/JointState"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 _UNPACKED = 4_000_000_000
 """Bytes that a compressed bag may unpack to."""
 
@@ -26,7 +26,7 @@ _UNPACKED = 4_000_000_000
 def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
     """Read joint states from the folder of a ROS 2 bag, a bare file of one, or a ROS 1 `.bag`.
 
-    A bare file is a `.db3`, also compressed as `.db3.zstd`, or an `.mcap`.
+    A bare file is a `.db3`, also compressed as `.db3.zstd`, or an `.mcap` of ROS 2.
 
     Times are the message header's if it has one, else the bag's. Messages that name other joints
     than most (a gripper's) are left out; joints are matched by name in every message.
@@ -49,14 +49,22 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
     if not messages:
         listing = ", ".join(sorted(topics)) or "none"
         raise RecordingError(
-            f"{path} is not a recording: it holds no {_JOINT_STATE} message (topics: {listing})",
+            f"{path} is not a recording: it holds no {JOINT_STATE} message (topics: {listing})",
             cure=Cure("record the joint states' topic"),
             file=str(path),
         )
     read: Callable[[bytes, str], Any] = (
         store.deserialize_ros1 if first_ros else store.deserialize_cdr
     )
-    states = [(stamp, read(data, _JOINT_STATE)) for stamp, data in messages]
+    states = [(stamp, read(data, JOINT_STATE)) for stamp, data in messages]
+    return joint_state_table(path, states)
+
+
+def joint_state_table(path: Path, states: list[tuple[int, Any]]) -> LogTable:
+    """Return joint states, with the times [ns] at which they were logged, as a table.
+
+    Raises `RecordingError` if they have no effort.
+    """
     names = _usual_names(states)
     kept = [(stamp, state) for stamp, state in states if set(names) <= set(state.name)]
     first = kept[0][1]
@@ -92,8 +100,8 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
     try:
         with _opened(path) as bag:
             topics = {c.topic: c.msgcount for c in bag.connections}
-            found = [c for c in bag.connections if c.msgtype == _JOINT_STATE]
-            chosen = _choose(path, {c.topic for c in found}, topic)
+            found = [c for c in bag.connections if c.msgtype == JOINT_STATE]
+            chosen = chosen_topic(path, {c.topic for c in found}, topic)
             found = [c for c in found if c.topic == chosen]
             messages = (
                 [(stamp, bytes(data)) for _, stamp, data in bag.messages(connections=found)]
@@ -162,7 +170,8 @@ def _unpacked(packed: Path, target: Path) -> Path:
     return target
 
 
-def _choose(path: Path, topics: set[str], topic: str | None) -> str | None:
+def chosen_topic(path: Path, topics: set[str], topic: str | None) -> str | None:
+    """Return the topic of the joint states among those that have some; raises if undecided."""
     if topic is not None:
         if topic not in topics:
             raise RecordingError(
@@ -227,7 +236,7 @@ def _values(states: list[tuple[int, Any]], field: str, names: tuple[str, ...]) -
 FORMATS.register(
     "rosbag",
     LogFormat(
-        suffixes=(".db3", ".mcap", ".bag", ".zstd"),
+        suffixes=(".db3", ".bag", ".zstd"),
         read=lambda path, sheet: read_isolated(read_ros_bag, path, topic=sheet.topic),
         folders=True,
     ),

@@ -1,0 +1,1 @@
+"""MCAP files: records, and the messages that are joint states or JSON."""
