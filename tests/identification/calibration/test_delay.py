@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
+from asbuilt.identification.calibration.delay_evidence import predicts_better, relief_of_delays
 from asbuilt.identification.errors.delay_errors import delay_errors
 from asbuilt.identification.identify import fit_samples
+from asbuilt.workflow.delays import settle_delays
 
 MODEL = load_robot("two-link")
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -93,6 +97,53 @@ def test_friction_that_lags_is_no_delay():
     assert estimate.lag > 0.015
     assert not estimate.applied.any()
     assert abs(estimate.estimates[0]) < 0.004
+
+
+@pytest.mark.parametrize(
+    ("error", "helps", "applied"),
+    [(0.004, None, True), (0.004, False, True), (0.02, False, False), (0.02, True, True)],
+)
+def test_an_uncertain_delay_is_applied_only_if_it_helps(error, helps, applied):
+    estimate = DelayEstimate(np.array([0.05]), np.array([error]), 0.0, 0.0, helps=helps)
+    assert estimate.applied.tolist() == [applied]
+    assert not replace(estimate, estimates=np.array([1.9 * error])).applied.any()
+
+
+def test_the_error_on_other_motions_falls_if_and_only_if_torques_are_late():
+    """Shifting by the true delay helps; shifting torques that are in time harms."""
+    late, now = recorded(3, 0.02), recorded(3)
+    chain = resolve_chain(SignalChain(), late)
+    base = find_base_parameters(MODEL, DRIVE)
+
+    def pair(log):
+        return ([prepare_samples(log, replace(chain, delay=each))] for each in (0.0, 0.02))
+
+    assert predicts_better(MODEL, base, np.ones(2), *pair(late))
+    fall, error = relief_of_delays(MODEL, base, np.ones(2), *pair(now))
+    assert fall < -3.0 * error
+    assert not predicts_better(MODEL, base, np.ones(2), *pair(now))
+
+
+@pytest.mark.parametrize("held_out", [None, "blocks:4.1s:3"])
+@pytest.mark.parametrize(
+    ("robot", "log"),
+    [
+        ("kuka_lwr4.urdf", "kuka_lwr4/measurements_3.npz"),
+        ("airbot/airbot_play.urdf", "airbot/vali_ptrnSrch_N7T25QR-5.csv"),
+    ],
+)
+def test_delays_that_friction_imitates_are_not_applied(shared, robot, log, held_out):
+    """Applied, they raised the error on other motions by up to a quarter."""
+    model = load_robot(str(shared / "models" / robot))
+    sheet = shared / "data" / "airbot" / "sheet.toml" if "airbot" in log else None
+    options = {} if sheet is None else {"sheet": sheet}
+    recording = read_recording(shared / "data" / log, model=model, **options)
+    late = settle_delays(
+        model, [recording], ["x"], resolve_chain(SignalChain(), recording), held_out
+    )
+    (delay,) = late.recordings
+    assert delay.delays == ()
+    assert late.chain.delay is None
 
 
 def test_errors_of_parameters_count_that_of_the_delay():
