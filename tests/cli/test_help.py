@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -129,3 +130,31 @@ def test_errors_are_documents_with_json_and_one_message_without(
 def test_quiet_prints_nothing_and_json_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(capsys, "robots", "-q") == (0, "", "")
     assert json.loads(call(capsys, "robots", "-q", "--json")[1])["robots"]
+
+
+@pytest.mark.parametrize("command", SINGLE)
+def test_every_command_prints_the_version(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    assert call(capsys, *command.split(), "--version") == (
+        0,
+        f"asbuilt {asbuilt.__version__}\n",
+        "",
+    )
+
+
+@pytest.mark.parametrize("command", ["show", "base", "convert", "excite", "simulate", "view"])
+def test_the_option_that_an_error_names_is_one_of_the_command(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
+    """A free joint is refused with `--fixed-base`, and held by it."""
+    robot = tmp_path / "hung.xml"
+    robot.write_text(
+        "<mujoco><worldbody><body name='trunk'><freejoint/><inertial pos='0 0 0' mass='5'"
+        " diaginertia='.1 .1 .1'/><body name='leg'><joint name='hip' axis='0 1 0'/><inertial"
+        " pos='0 0 -.1' mass='1' diaginertia='.01 .01 .01'/></body></body></worldbody></mujoco>"
+    )
+    files = [str(tmp_path / "out.toml")] if command == "convert" else []
+    err = call(capsys, command, robot, *files)[2]
+    assert "--fixed-base" in err
+    assert "--fixed-base" in options_of(command)
+    if command in ("show", "base", "convert"):
+        assert call(capsys, command, robot, *files, "--fixed-base")[0] == 0

@@ -337,6 +337,17 @@ def sheets() -> Iterator[tuple[str, str]]:
         yield f"file {value}", f"[files]\nposition = '{value}'\ntorque = '{value}'\n"
 
 
+def huge_results() -> Iterator[tuple[str, str]]:
+    """Stored results whose size or depth is the trouble: what, text."""
+    head = '{"format": "asbuilt result", "version": 1, '
+    yield "nested", '{"format": ' + "[" * 100_000
+    yield "nested, closed", '{"a": ' + "[" * 100_000 + "]" * 100_000 + "}"
+    yield "long integer", head + '"rate": ' + "9" * 1_000_000 + "}"
+    yield "many parameters", head + '"parameters": [' + "{}," * 1_000_000 + "{}]}"
+    yield "long text", head + '"robot": "' + "x" * 20_000_000 + '"}'
+    yield "large matrix", head + '"covariance": [' + ",".join(["1.5"] * 3_000_000) + "]}"
+
+
 def results(text: str) -> Iterator[tuple[str, str, bool]]:
     """Stored results edited by hand: what, text, whether it must be refused."""
     whole = json.loads(text)

@@ -19,9 +19,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-import asbuilt
 from asbuilt.cli.answers import cure_text, screen_of, wrapped
-from asbuilt.cli.arguments.spread import Common, spread
+from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.findings import Cure
@@ -187,19 +186,13 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        print(f"asbuilt {asbuilt.__version__}")
-        raise typer.Exit
-
-
 @app.callback(invoke_without_command=True)
 def _start(
     context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
-            "--version", is_eager=True, callback=_print_version, help="Show the version and exit."
+            "--version", is_eager=True, callback=print_version, help="Show the version and exit."
         ),
     ] = False,
 ) -> None:

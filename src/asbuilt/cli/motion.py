@@ -13,6 +13,7 @@ import typer
 from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
+    FixedBase,
     Full,
     Robot,
     described_robot,
@@ -70,6 +71,7 @@ def excite(
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="draw the motion on a page beside it")
     ] = True,
+    fixed_base: FixedBase = False,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -93,7 +95,7 @@ def excite(
         raise UsageError(f"--rate must be at most {HIGHEST_RATE:g} Hz, got {rate:g}")
     asked = given_options(options)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
-    model, base, prior = described_robot(robot), None, None
+    model, base, prior = described_robot(robot, fixed_base=fixed_base), None, None
     if given is not None:
         known = read_result(given)
         if known.model.joint_names != model.joint_names:

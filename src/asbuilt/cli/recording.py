@@ -14,6 +14,7 @@ from asbuilt.cli.arguments.options import (
     Carrier,
     Drive,
     Filtering,
+    FixedBase,
     Full,
     Logs,
     Robot,
@@ -297,6 +298,7 @@ def simulate(
             callback=writable_file,
         ),
     ] = None,
+    fixed_base: FixedBase = False,
     as_json: AsJson = False,
 ) -> None:
     """Record a virtual robot along a motion, or simulate it without controller.
@@ -315,7 +317,7 @@ def simulate(
 
     runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
     kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory"))
-    model = robot_as_built(robot)
+    model = robot_as_built(robot, fixed_base=fixed_base)
     carried = None if tool is None else tool_from_text(tool)
     if at is not None and carried is None:
         raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")

@@ -12,6 +12,7 @@ from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
     Drive,
+    FixedBase,
     Full,
     Out,
     Result,
@@ -31,23 +32,28 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-def robots(as_json: AsJson = False) -> None:
+def robots(full: Full = False, as_json: AsJson = False) -> None:
     """List the bundled robots."""
     from asbuilt.description.catalogue import bundled_robot, robot_names
     from asbuilt.writers.tables.robot_tables import robots_document, robots_table
 
     models = [bundled_robot(name) for name in robot_names()]
-    answer(as_json, lambda: robots_document(models), lambda: robots_table(models).as_text())
+    answer(as_json, lambda: robots_document(models), lambda: robots_table(models).as_text(full))
 
 
-def drives(as_json: AsJson = False) -> None:
+def drives(full: Full = False, as_json: AsJson = False) -> None:
     """List the drive terms that --drive takes, with their options."""
     from asbuilt.writers.tables.drive_tables import drives_document, drives_text
 
-    answer(as_json, drives_document, drives_text)
+    answer(as_json, drives_document, lambda: drives_text(full))
 
 
-def show(robot: RobotOrResult, full: Full = False, as_json: AsJson = False) -> None:
+def show(
+    robot: RobotOrResult,
+    fixed_base: FixedBase = False,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
     """Show geometry, mass properties, limits and the physical consistency of every link.
 
     Of a result, those of the robot as built, masses of CAD beside them.
@@ -55,9 +61,10 @@ def show(robot: RobotOrResult, full: Full = False, as_json: AsJson = False) -> N
     from asbuilt.writers.tables.robot_tables import robot_document, robot_text
 
     if Path(robot).suffix.lower() != ".json":
-        model = described_robot(robot)
+        model = described_robot(robot, fixed_base=fixed_base)
         answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
         return
+    refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
     from asbuilt.writers.models.as_built import as_built_model
     from asbuilt.writers.tables.mass_table import exported_masses, mass_table
 
@@ -73,7 +80,13 @@ def show(robot: RobotOrResult, full: Full = False, as_json: AsJson = False) -> N
     )
 
 
-def base(robot: Robot, drive: Drive = "none", full: Full = False, as_json: AsJson = False) -> None:
+def base(
+    robot: Robot,
+    drive: Drive = "none",
+    fixed_base: FixedBase = False,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
     """Find the base parameters and which standard parameters of each link are identifiable.
 
     The full text says why, parameter by parameter.
@@ -88,7 +101,7 @@ def base(robot: Robot, drive: Drive = "none", full: Full = False, as_json: AsJso
     )
     from asbuilt.writers.tables.tabular import base_document
 
-    model = described_robot(robot)
+    model = described_robot(robot, fixed_base=fixed_base)
     found = find_base_parameters(model, DriveSet.parse(drive or "none"))
     standard = standard_table if full else identifiability_table
     answer(
@@ -128,6 +141,7 @@ def view(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="open the page in a browser")
     ] = True,
+    fixed_base: FixedBase = False,
     as_json: AsJson = False,
 ) -> None:
     """Show the robot in 3-D in the browser, or save a picture, an animation or a page.
@@ -137,7 +151,7 @@ def view(
     from asbuilt.excitation.motions.motion_csv import read_motion
     from asbuilt.writers.pictures.view import view_robot
 
-    model = robot_as_built(robot)
+    model = robot_as_built(robot, fixed_base=fixed_base)
     moved = None if motion is None else read_motion(motion, model)
     about = {"robot": model.name, "duration": None if moved is None else moved.duration}
     chosen = one_of("--style", style, ("auto", "rendered", "skeleton"))
@@ -343,6 +357,7 @@ def convert(
             help="free fall in the root frame [m/s^2], or its axis such as -z",
         ),
     ] = None,
+    fixed_base: FixedBase = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a robot description in another format.
@@ -354,7 +369,7 @@ def convert(
     from asbuilt.experiment.logs.options import gravity_of
     from asbuilt.writers.models.convert import convert_robot
 
-    model = described_robot(robot)
+    model = described_robot(robot, fixed_base=fixed_base)
     if lock is not None:
         model = model.locked(locks_from_text(lock))
     if gravity is not None:

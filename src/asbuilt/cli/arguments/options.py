@@ -69,6 +69,12 @@ AsJson = Annotated[
     bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")
 ]
 Full = Annotated[bool, typer.Option("--full", help="print all rows and notes whatever their width")]
+FixedBase = Annotated[
+    bool,
+    typer.Option(
+        "--fixed-base", help="hold a free joint of the robot at its pose (a robot hung in the air)"
+    ),
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -202,10 +208,11 @@ def described_robot(robot: str, *, fixed_base: bool = False) -> RobotModel:
     return load_robot(robot, fixed_base=fixed_base)
 
 
-def robot_as_built(robot: str) -> RobotModel:
+def robot_as_built(robot: str, *, fixed_base: bool = False) -> RobotModel:
     """Return a described robot, or an identified one as built where a result is given."""
     if Path(robot).suffix.lower() != ".json":
-        return described_robot(robot)
+        return described_robot(robot, fixed_base=fixed_base)
+    refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
     from asbuilt.writers.models.as_built import as_built_model
 
     return as_built_model(read_result(Path(robot)))

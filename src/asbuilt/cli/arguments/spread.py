@@ -12,6 +12,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import typer
 
+import asbuilt
 from asbuilt.errors import AsbuiltError, UsageError
 
 SPELLING = {
@@ -41,6 +42,13 @@ def option_name(field: str) -> str:
     return SPELLING.get(field, "--" + field.replace("_", "-"))
 
 
+def print_version(wanted: bool) -> None:
+    """Print the version and end, if that is wanted."""
+    if wanted:
+        print(f"asbuilt {asbuilt.__version__}")
+        raise typer.Exit
+
+
 @dataclass(frozen=True, slots=True)
 class Common:
     """The options of every command."""
@@ -48,6 +56,12 @@ class Common:
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print errors and JSON only")] = False
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="print each step and its time on stderr")
+    ] = False
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=print_version, help="print the version and exit"
+        ),
     ] = False
 
 

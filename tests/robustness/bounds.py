@@ -1,0 +1,110 @@
+"""What inputs that are huge, endless or too deep cost: peak memory and time of a command.
+
+    python tests/robustness/bounds.py [GROUP]
+
+runs the cases in a process of their own each and prints one JSON object a case.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from robustness import corpus
+from robustness.corpus import Case
+
+LARGEST = 500.0
+"""Peak memory [MB] that a refused input may cost,"""
+SLOWEST = 2.0
+"""and time [s], start of the interpreter included."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Hold what a case cost: exit status, time [s], peak memory [MB] of its largest process."""
+
+    group: str
+    name: str
+    status: int
+    seconds: float
+    megabytes: float
+
+
+def cases() -> dict[str, list[Case]]:
+    """Return the cases whose size, not damage, is the trouble, by group."""
+    log = corpus.csv_log().encode()
+    two = {"log.csv": log}
+    return {
+        "deep": [
+            Case(f"{suffix} {what}", ("show", f"@case{suffix}"), {f"case{suffix}": data})
+            for what, suffix, data in corpus.deep()
+        ],
+        "deep sheets": [
+            Case(what, ("check", "two-link", "@log.csv", "--sheet", "@s.toml"),
+                 {**two, "s.toml": x})
+            for what, suffix, x in corpus.deep()
+            if suffix == ".toml"
+        ],
+        "logs": [
+            Case(f"{suffix} {what}", ("check", "two-link", f"@x{suffix}"), {f"x{suffix}": data})
+            for what, suffix, data in corpus.hostile_logs()
+        ],
+        "sheets": [
+            Case(what, ("check", "two-link", "@log.csv", "--sheet", "@s.toml"),
+                 {**two, "s.toml": text.encode()})
+            for what, text in corpus.sheets() if what.startswith(("columns", "file"))
+        ],
+        "options": [Case(" ".join(words)[:60], words, {}) for words in corpus.OPTIONS],
+        "results": [
+            Case(what, ("show", "@r.json"), {"r.json": text.encode()})
+            for what, text in corpus.huge_results()
+        ],
+    }  # fmt: skip
+
+
+def measured(group: str, case: Case, folder: Path) -> Cost:
+    """Run a case in a process of its own."""
+    command = [sys.executable, "-m", "asbuilt", *case.written(folder)]
+    began = time.monotonic()
+    process = subprocess.Popen(
+        [each for each in command if "\0" not in each],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    seconds = time.monotonic() - began
+    return Cost(group, case.name, process.returncode, seconds, usage.ru_maxrss / 1e3)
+
+
+def costs(only: str | None = None) -> Iterator[Cost]:
+    """Yield the cost of every case of a group, or of all."""
+    for group, members in cases().items():
+        if only in (None, group):
+            for case in members:
+                with tempfile.TemporaryDirectory() as folder:
+                    yield measured(group, case, Path(folder))
+
+
+def beyond(found: Iterator[Cost] | list[Cost]) -> Mapping[str, float]:
+    """Return the cases that took too much memory, with their peaks [MB]."""
+    return {f"{each.group}: {each.name}": each.megabytes for each in found
+            if each.megabytes > LARGEST}  # fmt: skip
+
+
+if __name__ == "__main__":
+    for cost in costs(sys.argv[1] if len(sys.argv) > 1 else None):
+        print(json.dumps(cost.__dict__), flush=True)
