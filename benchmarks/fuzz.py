@@ -1,9 +1,12 @@
 """Fuzz the readers: random mutations of good files until the time is up.
 
     python benchmarks/fuzz.py --seconds 3600 --out out/fuzz
+    python benchmarks/fuzz.py --bounds
 
 Every input must end in a command's exit status 0, 1 or 2 without an unexpected error. An input that
-does not is saved with its command as a reproducer, and the exit status is 1.
+does not is saved with its command as a reproducer, and the exit status is 1. `--bounds` prints time
+and peak memory of inputs that are huge, endless or too deep, slowest first, each in a process of
+its own; the exit status is 1 if one takes more than 2 s or 500 MB.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from asbuilt.cli.app import main
-from robustness import corpus
+from robustness import bounds, corpus
 
 HANG = 60
 """Seconds after which an input counts as hung; a damaged bag may take 10."""
@@ -109,10 +112,30 @@ def fuzz(seconds: float, seed: int, out: Path) -> int:
     return failures
 
 
+def report_bounds(shown: int = 15) -> int:
+    """Print the slowest and largest cases; return how many are beyond the bounds."""
+    found = sorted(bounds.costs(), key=lambda cost: -cost.seconds)
+    print(f"{'seconds':>8} {'MB':>6}  status  case")
+    largest = sorted(found, key=lambda cost: -cost.megabytes)[:5]
+    for cost in [*found[:shown], *(each for each in largest if each not in found[:shown])]:
+        name = f"{cost.group}: {cost.name}"
+        print(f"{cost.seconds:8.2f} {cost.megabytes:6.0f}  {cost.status:6}  {name[:80]}")
+    slow = sum(cost.seconds > bounds.SLOWEST for cost in found)
+    large = sum(cost.megabytes > bounds.LARGEST for cost in found)
+    print(
+        f"{len(found)} inputs: {slow} beyond {bounds.SLOWEST:g} s, {large} beyond"
+        f" {bounds.LARGEST:g} MB; median {found[len(found) // 2].seconds:.2f} s"
+    )
+    return slow + large
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0)
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
+    parser.add_argument("--bounds", action="store_true")
     given = parser.parse_args()
+    if given.bounds:
+        sys.exit(1 if report_bounds() else 0)
     sys.exit(1 if fuzz(given.seconds, given.seed, given.out) else 0)

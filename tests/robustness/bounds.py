@@ -1,19 +1,23 @@
 """What inputs that are huge, endless or too deep cost: peak memory and time of a command.
 
     python tests/robustness/bounds.py [GROUP]
+    python tests/robustness/bounds.py --together GROUP
 
-runs the cases in a process of their own each and prints one JSON object a case.
+runs the cases in a process of their own each, or all of a group in one, and prints one JSON object
+a case.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,12 +103,31 @@ def costs(only: str | None = None) -> Iterator[Cost]:
                     yield measured(group, case, Path(folder))
 
 
-def beyond(found: Iterator[Cost] | list[Cost]) -> Mapping[str, float]:
-    """Return the cases that took too much memory, with their peaks [MB]."""
-    return {f"{each.group}: {each.name}": each.megabytes for each in found
-            if each.megabytes > LARGEST}  # fmt: skip
+def together(group: str) -> Iterator[Cost]:
+    """Run the cases of a group one after another in this process; peaks are those until then."""
+    from asbuilt.cli.app import main
+
+    for case in cases()[group]:
+        with tempfile.TemporaryDirectory() as folder, open(os.devnull, "w") as nowhere:
+            began, status = time.monotonic(), 0
+            with contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+                try:
+                    main(case.written(Path(folder)))
+                except SystemExit as end:
+                    status = int(end.code or 0)
+            yield Cost(group, case.name, status, time.monotonic() - began, peak())
+
+
+def peak() -> float:
+    """Return the peak memory [MB] of this process, or of its largest child (Linux)."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    own = next(float(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    return max(own, children) / 1e3
 
 
 if __name__ == "__main__":
-    for cost in costs(sys.argv[1] if len(sys.argv) > 1 else None):
+    chosen = sys.argv[1:]
+    found = together(chosen[1]) if chosen[:1] == ["--together"] else costs(*chosen[:1])
+    for cost in found:
         print(json.dumps(cost.__dict__), flush=True)

@@ -339,7 +339,7 @@ def sheets() -> Iterator[tuple[str, str]]:
 
 def huge_results() -> Iterator[tuple[str, str]]:
     """Stored results whose size or depth is the trouble: what, text."""
-    head = '{"format": "asbuilt result", "version": 1, '
+    head = '{"format": "asbuilt identification result", "version": 1, '
     yield "nested", '{"format": ' + "[" * 100_000
     yield "nested, closed", '{"a": ' + "[" * 100_000 + "]" * 100_000 + "}"
     yield "long integer", head + '"rate": ' + "9" * 1_000_000 + "}"

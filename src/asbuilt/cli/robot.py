@@ -65,10 +65,10 @@ def show(
         answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
         return
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
+    result = read_result(Path(robot))
     from asbuilt.writers.models.as_built import as_built_model
     from asbuilt.writers.tables.mass_table import exported_masses, mass_table
 
-    result = read_result(Path(robot))
     model, masses = as_built_model(result), exported_masses(result)
     answer(
         as_json,

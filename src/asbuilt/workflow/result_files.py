@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from asbuilt.errors import ResultError
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.stored_document import stored_document
 from asbuilt.untrusted import read_text
-from asbuilt.workflow.study import Study
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
+    from asbuilt.workflow.study import Study
 
 LARGEST = 30_000_000
 """Bytes of a stored result; that of seven joints has 0.4 MB."""
@@ -40,6 +44,9 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     """
     text = read_text(Path(path), "result", ResultError, LARGEST)
     try:
+        stored_document(text)
+        from asbuilt.workflow.study import Study  # noqa: PLC0415 (heavy, and of no use before)
+
         return Study.from_json(text)
     except ResultError as problem:
         raise ResultError(f"{path}: {problem.message}", cure=problem.cure, file=str(path)) from None

@@ -19,7 +19,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.result.determination import Determination, determination
-from asbuilt.identification.result.result import IdentificationResult, stored_document
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.stored_document import stored_document
 from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from html import escape
@@ -22,13 +21,19 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Finding
 from asbuilt.identification.errors.block_scatter import BlockScatter
 from asbuilt.identification.errors.error_basis import ErrorBasis
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.free_values import FreeValues
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.recording_delay import RecordingDelay
+from asbuilt.identification.result.stored_document import (
+    AGAIN,
+    FORMAT,
+    FORMAT_VERSION,
+    stored_document,
+)
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
     all_parameters,
@@ -36,17 +41,13 @@ from asbuilt.identification.result.torque_prediction import (
 )
 from asbuilt.identification.servo.servo_errors import ServoErrors
 from asbuilt.tables import Column, Shown, Table, rounded
-from asbuilt.untrusted import DEEPEST, depth, reason
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-FORMAT = "asbuilt identification result"
-FORMAT_VERSION = 1
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
 BY_POSITION = ("spring", "balancer")
-AGAIN = Cure("identify again")
 
 
 @dataclass(frozen=True, slots=True)
@@ -471,45 +472,3 @@ class IdentificationResult:
 
 def _all_finite(values: ArrayLike) -> bool:
     return bool(np.all(np.isfinite(np.asarray(values, dtype=np.float64))))
-
-
-def stored_document(text: str) -> Mapping[str, Any]:
-    """Return the document of a stored result.
-
-    Raises
-    ------
-    ResultError
-        If the text is no such document, or of another version of the format.
-    """
-    expected = Cure("give the result.json that identify wrote")
-    try:
-        whole = json.loads(text, parse_constant=_refuse_constant)
-    except RecursionError:
-        raise ResultError(
-            f"this is not a stored result: its JSON is nested deeper than {DEEPEST} levels",
-            cure=expected,
-        ) from None
-    except ValueError as problem:
-        raise ResultError(
-            f"this is not a stored result, not even JSON ({reason(problem)})", cure=expected
-        ) from None
-    if depth(whole) > DEEPEST:
-        raise ResultError(
-            f"this is not a stored result: its JSON is nested deeper than {DEEPEST} levels",
-            cure=expected,
-        )
-    if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
-        raise ResultError(
-            f"this JSON is not a stored result: its format is not {FORMAT!r}", cure=expected
-        )
-    if whole.get("version") != FORMAT_VERSION:
-        raise ResultError(
-            f"this result has format version {whole.get('version')}, this program reads"
-            f" {FORMAT_VERSION}",
-            cure=AGAIN,
-        )
-    return whole
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number")

@@ -1,0 +1,35 @@
+"""Inputs that are huge, endless or too deep are refused within 500 MB.
+
+Their times are in `benchmarks/fuzz.py --bounds`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from robustness import bounds
+
+PROGRAM = Path(bounds.__file__)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+@pytest.mark.parametrize("group", bounds.cases())
+def test_refused_within_500_megabytes(group: str) -> None:
+    """All cases of a group run in one process, whose peak bounds that of each."""
+    done = subprocess.run(
+        [sys.executable, str(PROGRAM), "--together", group],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    costs = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(costs) == len(bounds.cases()[group])
+    beyond = [each for each in costs if each["megabytes"] > bounds.LARGEST]
+    assert not beyond, beyond[0]
+    assert all(each["status"] for each in costs if group != "sheets")
