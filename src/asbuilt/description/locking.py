@@ -95,10 +95,41 @@ def merged(
     return tuple(kept), tuple(carriers), tuple(named)
 
 
-def lock_findings(locked: Mapping[str, float]) -> tuple[Finding, ...]:
-    """Return a finding that names the locked joints with their positions."""
+def held_followers(
+    present: Sequence[Joint], before: Mapping[str, str], values: Mapping[str, float]
+) -> dict[str, str]:
+    """Return the locked joints that follow one which stays, with that joint.
+
+    `before` are those known already, `values` the joints that are locked now.
+    """
+    found = dict(before) | {
+        joint.name: joint.mimic.joint
+        for joint in present
+        if joint.name in values and joint.mimic is not None
+    }
+    moving = {joint.name for joint in present} - values.keys()
+    return {name: of for name, of in found.items() if of in moving}
+
+
+def lock_findings(
+    locked: Mapping[str, float], followers: Mapping[str, str] | None = None
+) -> tuple[Finding, ...]:
+    """Return a finding that names the locked joints with their positions.
+
+    Another one names those that follow (`followers`) a joint which moves.
+    """
     if not locked:
         return ()
+    coupled = [f"{name} follows {of}" for name, of in (followers or {}).items()]
+    held_still = (
+        Finding(
+            "follower_held",
+            "warning",
+            f"{joined(coupled)}, but is held still: the inertia, weight and friction of what it"
+            " moves are missing from the torque of the joint that it follows",
+            Cure("do not trust that joint's parameters, or record with it at rest and lock it"),
+        ),
+    )
     held = [f"{name} at {value:.4g}" for name, value in locked.items()]
     names = ",".join(f"{name}=VALUE" for name in locked)
     several = len(held) > 1
@@ -111,6 +142,7 @@ def lock_findings(locked: Mapping[str, float]) -> tuple[Finding, ...]:
             " them",
             Cure("if they stood elsewhere, give their positions", {"lock": names}),
         ),
+        *(held_still if coupled else ()),
     )
 
 

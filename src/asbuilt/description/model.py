@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.locking import locked_positions, merged
+from asbuilt.description.locking import held_followers, locked_positions, merged
 from asbuilt.description.parts import (
     PLAIN_TERMS,
     ROOT,
@@ -62,7 +62,8 @@ class RobotModel:
     (n, n) says how the motors turn with the joints, `motor velocity = T qd` in units of the joints
     (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of
     many arms; the motors' torques act on the joints by its transpose. None means T = 1.
-    `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`.
+    `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`, and
+    `held_followers` those among them that follow a joint which moves, with that joint.
     `mass_ranges` are what is known of masses beside the description, as from a scale.
     `source` says where the description came from, `citation` whose facts they are.
     """
@@ -77,6 +78,7 @@ class RobotModel:
     drives_by_design: bool = True
     motor_coupling: Array | None = None
     locked_joints: Mapping[str, float] = field(default_factory=dict)
+    held_followers: Mapping[str, str] = field(default_factory=dict)
     mass_ranges: tuple[MassRange, ...] = ()
     source: str = ""
     citation: str = ""
@@ -303,6 +305,7 @@ class RobotModel:
             frames=frames,
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
+            held_followers=held_followers(self.joints, self.held_followers, values),
             mass_ranges=tuple(
                 known
                 for known in self.mass_ranges

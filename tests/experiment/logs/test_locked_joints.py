@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import Joint, JointLimits, Link, RobotModel
+from asbuilt.description.locking import lock_findings
+from asbuilt.description.model import Joint, JointLimits, Link, Mimic, RobotModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.joint_matching import joints_without_label
@@ -63,6 +65,24 @@ def test_a_log_without_fingers_locks_them(hand: RobotModel, log: Path) -> None:
     assert "joints_locked" in check.codes
     other, _ = fitted_recordings(hand, [[log]], ReadingOptions(lock="finger_left=0.02"))
     assert other.locked_joints == pytest.approx({"finger_left": 0.02, "finger_right": 0.03})
+
+
+def test_a_finger_that_follows_one_which_moves_is_named(hand: RobotModel, log: Path) -> None:
+    """Held still, it is missing from the torque of the other; locked together, nothing is."""
+    left, right = hand.joints[-2:]
+    coupled = replace(
+        hand, joints=(*hand.joints[:-1], replace(right, mimic=Mimic("finger_left", -1.0, 0.06)))
+    )
+    arm = coupled.locked(["finger_right"])
+    assert arm.held_followers == {"finger_right": "finger_left"}
+    assert model_from_document(model_document(arm)).held_followers == arm.held_followers
+    said = {each.code: each for each in lock_findings(arm.locked_joints, arm.held_followers)}
+    assert said["follower_held"].severity == "warning"
+    assert "finger_right follows finger_left" in said["follower_held"].message
+    assert arm.locked([left.name]).held_followers == {}
+    both, ((recording,),) = fitted_recordings(coupled, [[log]])
+    assert both.held_followers == {}
+    assert "follower_held" not in check_recording(both, recording).codes
 
 
 def test_identification_locks_them_too(hand: RobotModel, log: Path) -> None:

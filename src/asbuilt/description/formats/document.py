@@ -42,6 +42,7 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         "lengths": dict(model.lengths),
         "drives_by_design": model.drives_by_design,
         "locked_joints": dict(model.locked_joints),
+        "held_followers": dict(model.held_followers),
         "mass_ranges": [
             [list(known.links), known.lower, known.upper if np.isfinite(known.upper) else None]
             for known in model.mass_ranges
@@ -81,6 +82,9 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             ),
             locked_joints={
                 str(name): float(value) for name, value in document.get("locked_joints", {}).items()
+            },
+            held_followers={
+                str(name): str(of) for name, of in document.get("held_followers", {}).items()
             },
             mass_ranges=tuple(
                 MassRange(

@@ -232,7 +232,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += _findings_in_time(model, chunks, known)
         noise = PositionNoise.of(as_modelled(model, credible(first_of(recording, MEASURED))))
         findings += position_findings(model, noise)
-    findings += lock_findings(model.locked_joints)
+    findings += lock_findings(model.locked_joints, model.held_followers)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(
         robot=model.name,

@@ -91,7 +91,7 @@ def conclude_study(
         *result.findings,
         *_drive_findings(fits.choice),
         *_check_findings(prepared.checks),
-        *lock_findings(fits.model.locked_joints),
+        *lock_findings(fits.model.locked_joints, fits.model.held_followers),
         *delay_findings(result, prepared.delay, fits.final.delay_shift),
         *further,
         *_validation_findings(fits, train, validations, further),
