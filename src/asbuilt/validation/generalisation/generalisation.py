@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
@@ -67,11 +67,25 @@ def validation_findings(
                 ),
             ),
         )
-    return tuple(
-        finding
+    return _named_once(
+        (recording_name(validation.source), finding)
         for validation in validations
         for finding in (*_generalisation(train, validation), *_rest(validation))
     )
+
+
+def _named_once(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
+    """Return findings; the first of a code names the recordings of others, which become info."""
+    groups: dict[str, list[tuple[str, Finding]]] = {}
+    for source, finding in found:
+        groups.setdefault(finding.code, []).append((source, finding))
+    merged: list[Finding] = []
+    for (_, first), *others in groups.values():
+        also = [source for source, _ in others]
+        said = f"{first.message}; likewise on {joined(also)}" if also else first.message
+        merged.append(replace(first, message=said))
+        merged += [replace(each, severity="info") for _, each in others]
+    return tuple(merged)
 
 
 def repetition_findings(
