@@ -43,6 +43,7 @@ from asbuilt.validation.generalisation.generalisation import (
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
 from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
+from asbuilt.validation.log_errors.findings import log_error_findings
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
@@ -327,6 +328,20 @@ def _concluded(
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
+    hidden = hidden_cause_findings(
+        result,
+        training,
+        choice.drive,
+        tilt=None if attribution is None else attribution.tilt,
+        mounting=mounting,
+        block_seconds=options.block_seconds,
+    )
+    of_log = log_error_findings(
+        result,
+        training if servo is None else (),
+        springs=all(finding.code != "spring_suspected" for finding in hidden),
+        block_seconds=options.block_seconds,
+    )
     findings = (
         *result.findings,
         *_drive_findings(choice),
@@ -336,14 +351,8 @@ def _concluded(
         *validation_findings(result.train, validations),
         *repetition_findings(training, held),
         *too_short,
-        *hidden_cause_findings(
-            result,
-            training,
-            choice.drive,
-            tilt=None if attribution is None else attribution.tilt,
-            mounting=mounting,
-            block_seconds=options.block_seconds,
-        ),
+        *hidden,
+        *of_log,
         *_gain_findings(training),
         *position_noise_findings(
             result,
