@@ -87,9 +87,7 @@ class ErrorColumns:
         """Return the column of each candidate, (L, n) each, on a span of samples."""
         q, qd, qdd = (np.asarray(x[span]) for x in (samples.q, samples.qd, samples.qdd))
         rigid, torque = self._torque(q, qd, qdd)
-        middle = 0.5 * (samples.t[0] + samples.t[-1])
-        length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
-        progress = (samples.t[span] - middle) / length
+        time = progress(samples.t[span], samples.t)
         columns = [self._by_speed(q, qd, qdd)]
         columns += [gravity_torque(tilted, q) for tilted in self._tilted]
         columns += [self._by_position(q, qd, qdd, k) for k in range(q.shape[1])]
@@ -98,8 +96,8 @@ class ErrorColumns:
             own = [
                 t,
                 t * np.abs(t) / self._largest[k],
-                progress,
-                progress * (t - rigid[:, k]),
+                time,
+                time * (t - rigid[:, k]),
             ]
             columns += [_at(k, values, q.shape) for values in own]
         if self._further:
@@ -132,6 +130,12 @@ class ErrorColumns:
         step[k] = ANGLE if self._model.joints[k].is_revolute else LENGTH
         up, down = (self._torque(x, qd, qdd)[1] for x in (q + step, q - step))
         return np.asarray((down - up) / (2.0 * step[k]))
+
+
+def progress(t: Array, whole: Array) -> Array:
+    """Return times of a recording with the times `whole`, from -1/2 at its start to 1/2."""
+    length = max(float(whole[-1] - whole[0]), 1e-9)
+    return np.asarray((t - whole[0]) / length - 0.5)
 
 
 def largest_torques(training: Iterable[Samples]) -> Array:

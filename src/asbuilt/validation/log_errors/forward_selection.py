@@ -16,6 +16,8 @@ LEVEL = 0.05
 """Probability that chance adds a column, over all candidates (Bonferroni)."""
 SEPARATE = 1e-3
 """Squared part of a column outside all others below which it is not told from them."""
+RIDGE = 1e-9
+"""Squared length added to columns of unit length, for those that a stretch alone excites."""
 STRETCHES = 5
 """Stretches of time that are left out in turn."""
 SMALLEST_SHARE = 0.02
@@ -64,7 +66,7 @@ class BlockEquations:
     def selected(
         self, most: int, admitted: Callable[[int, float], bool] = lambda column, value: True
     ) -> tuple[Chosen, ...]:
-        """Return at most so many columns in the order of choice, values of the fit with all.
+        """Return at most so many columns in the order of choice.
 
         Each time, of the columns that are significant beside those chosen (from time blocks, CR2 of
         Bell and McCaffrey, Survey Methodology 28, 2002), and whose value is `admitted`, the one is
@@ -88,18 +90,24 @@ class BlockEquations:
                 break
             inside.append(self.n_own + best.column)
             found[best.column] = best
-        return tuple(self._beside(each, inside) for each in found.values())
+        return tuple(found.values())
 
-    def tried(self, columns: Sequence[int]) -> tuple[Chosen, ...]:
-        """Return columns each beside those of the fit alone, significant or not."""
-        places = [self.n_own + column for column in columns]
-        return tuple(self._trials(list(range(self.n_own)), places, level=1.0))
+    def together(self, columns: Sequence[int]) -> tuple[Chosen, ...]:
+        """Return columns with their values in a fit with all of them, significant or not.
 
-    def _beside(self, chosen: Chosen, inside: Sequence[int]) -> Chosen:
-        """Return a chosen column with its value beside all others."""
-        place = self.n_own + chosen.column
-        (again,) = self._trials([j for j in inside if j != place], [place], level=1.0) or (chosen,)
-        return Chosen(chosen.column, again.value, again.std_error, chosen.share)
+        Those that cannot be told from the others are left out.
+        """
+        inside = [*range(self.n_own), *(self.n_own + column for column in columns)]
+        return tuple(
+            each
+            for place in inside[self.n_own :]
+            for each in self._trials([j for j in inside if j != place], [place], level=1.0)
+        )
+
+    @property
+    def residual(self) -> float:
+        """Squared residual of the fit without candidates."""
+        return float(self.squares.sum())
 
     def _predicts(self, inside: Sequence[int], column: int) -> bool:
         """Return whether a column lowers the squared residual of stretches that are left out."""
@@ -117,8 +125,8 @@ class BlockEquations:
         """Return the squared residual of blocks by a fit to all others, less that without it."""
         G, s = self.grams[:, inside][:, :, inside], self.scores[:, inside]
         gram, score = G[out].sum(axis=0), s[out].sum(axis=0)
-        others = np.linalg.pinv(G.sum(axis=0) - gram, hermitian=True)
-        x = others @ (s.sum(axis=0) - score)
+        others = G.sum(axis=0) - gram + RIDGE * np.eye(len(inside))
+        x = np.linalg.solve(others, s.sum(axis=0) - score)
         return float(x @ gram @ x - 2.0 * x @ score)
 
     def _trials(
