@@ -229,6 +229,10 @@ class _Search:
             return bounds is None or bounds.lowest <= value <= bounds.highest
 
         picked = equations.selected(MOST, admitted)
+        if not any(
+            candidates[each.column].kind in BOUNDS and each.share >= NAMED for each in picked
+        ):
+            return []
         return self._refined(
             [(candidates[each.column], each.share) for each in picked],
             _Corrected.nothing(len(self._largest)),
