@@ -84,7 +84,7 @@ def build_recording(
 
 
 def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOptions) -> Recording:
-    """Apply torque source, sign, gains and time windows.
+    """Apply torque source, clock, zero positions, sign, gains and time windows.
 
     Gain and torque source of the options replace the sheet's; `flip_torque` changes the sign that
     results.
@@ -92,6 +92,13 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     source = options.torque_source or sheet.torque_source
     if source is not None:
         recording = replace(recording, torque_source=source)
+    if sheet.time_factor is not None:
+        note = f"times were multiplied by {sheet.time_factor:g}"
+        recording = replace(
+            recording, t=recording.t * sheet.time_factor, notes=(*recording.notes, note)
+        )
+    if sheet.zero is not None:
+        recording = _from_zero(recording, sheet.zero)
     if sheet.sign is not None:
         signs = np.atleast_1d(np.asarray(sheet.sign, dtype=np.float64))
         if signs.size not in (1, recording.n_joints):
@@ -123,6 +130,25 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         )
         recording = replace(kept, notes=(*kept.notes, note))
     return recording
+
+
+def _from_zero(recording: Recording, zero: float | list[float]) -> Recording:
+    """Return a recording with these positions (one, or one per joint) subtracted."""
+    zeros = np.atleast_1d(np.asarray(zero, dtype=np.float64))
+    if zeros.size not in (1, recording.n_joints):
+        raise RecordingError(
+            f"{recording.source}: the sheet gives {zeros.size} zero positions for"
+            f" {recording.n_joints} joints",
+            file=recording.source,
+            value=zeros.tolist(),
+        )
+    listed = ", ".join(f"{value:g}" for value in zeros)
+    return replace(
+        recording,
+        q=recording.q - zeros,
+        command=None if recording.command is None else recording.command - zeros,
+        notes=(*recording.notes, f"positions count from {listed}"),
+    )
 
 
 def stated_servo(

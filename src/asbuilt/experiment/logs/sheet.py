@@ -121,7 +121,9 @@ class RecordingSheet(_Part):
     """Describe a log: every field is optional and overrides what the column names give.
 
     `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
-    `gains` turn them into N m (amperes times N m/A); both are one number or one per joint. `lock`
+    `gains` turn them into N m (amperes times N m/A); both are one number or one per joint. `zero`
+    are the positions [rad or m] that the log gives where the description has zero, and
+    `time_factor` multiplies the log's times, where its clock is wrong. `lock`
     names joints that are not identified, with their positions [rad or m] if these are known.
     `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
     of the log. `kp`, `kd` and `torque_limit` are those of the position servo, "auto" if unknown.
@@ -141,6 +143,8 @@ class RecordingSheet(_Part):
     torque_source: TorqueSource | None = None
     sign: float | list[float] | None = None
     gains: float | list[float] | None = None
+    zero: FiniteNumber | list[FiniteNumber] | None = None
+    time_factor: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     kp: ServoNumbers = None
     kd: ServoNumbers = None
     torque_limit: ServoNumbers = None

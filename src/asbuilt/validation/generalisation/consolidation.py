@@ -8,10 +8,19 @@ from types import MappingProxyType
 
 from asbuilt.findings import SEVERITIES, Finding, joined
 
+CAUSES = (
+    "base_tilt",
+    "spring_suspected",
+    "clock_wrong",
+    "zero_position_wrong",
+    "joint_gain_wrong",
+    "torque_does_not_follow",
+    "torque_saturates",
+)
 EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "consistent_fit_costly": ("base_tilt", "spring_suspected"),
-        "consistent_fit_rejected": ("base_tilt", "spring_suspected"),
+        "consistent_fit_costly": CAUSES,
+        "consistent_fit_rejected": CAUSES,
         "weak_excitation": ("ill_conditioned", "poorly_determined"),
         "ill_conditioned": ("poorly_determined",),
         "few_blocks": ("poorly_determined",),
@@ -25,6 +34,12 @@ WEIGHT: tuple[str, ...] = (
     "gravity_direction",
     "torque_scale",
     "joint_torque_scale",
+    "clock_wrong",
+    "torque_does_not_follow",
+    "zero_position_wrong",
+    "joint_gain_wrong",
+    "torque_saturates",
+    "torque_unexplained",
     "base_tilt",
     "consistent_fit_rejected",
     "consistent_fit_costly",

@@ -27,6 +27,7 @@ from asbuilt.validation.generalisation.generalisation import (
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
 from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
+from asbuilt.validation.log_errors.findings import log_error_findings
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import delay_findings
@@ -125,15 +126,23 @@ def _model_findings(
 ) -> tuple[Finding, ...]:
     """Return what the samples say against the model: effects and causes that it lacks."""
     prepared = fits.prepared
+    hidden = hidden_cause_findings(
+        result,
+        fits.samples,
+        fits.choice.drive,
+        tilt=None if attribution is None else attribution.tilt,
+        mounting=fits.mounting,
+        block_seconds=options.block_seconds,
+    )
+    of_log = log_error_findings(
+        result,
+        fits.samples if fits.servo is None else (),
+        springs=all(finding.code != "spring_suspected" for finding in hidden),
+        block_seconds=options.block_seconds,
+    )
     return (
-        *hidden_cause_findings(
-            result,
-            fits.samples,
-            fits.choice.drive,
-            tilt=None if attribution is None else attribution.tilt,
-            mounting=fits.mounting,
-            block_seconds=options.block_seconds,
-        ),
+        *hidden,
+        *of_log,
         *_gain_findings(fits.samples),
         *position_noise_findings(
             result,

@@ -1,0 +1,1 @@
+"""Errors of the log itself, such as clock, zero positions and gains, found in the residual."""

@@ -1,0 +1,168 @@
+"""What is said of errors of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.dynamics.drives.terms.spring import Spring
+from asbuilt.findings import Cure, Finding
+from asbuilt.validation.log_errors.error_columns import Kind
+from asbuilt.validation.log_errors.log_errors import LogError, log_errors
+from asbuilt.validation.prediction import torque_units
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+    from asbuilt.identification.result.result import IdentificationResult
+
+DEAD = 0.15
+"""Part of the model's torque below which a torque channel does not follow the motion."""
+
+
+def log_error_findings(
+    result: IdentificationResult,
+    training: Sequence[Samples],
+    *,
+    springs: bool = True,
+    block_seconds: float | None = None,
+) -> tuple[Finding, ...]:
+    """Return findings that name the errors of the log which the residual shows.
+
+    Springs, which are errors of the model, are named with them unless `springs` says that they are
+    already.
+    """
+    found = log_errors(result, training, block_seconds=block_seconds)
+    return tuple(_findings(result, found, springs))
+
+
+def _findings(
+    result: IdentificationResult, found: Sequence[LogError], springs: bool
+) -> Iterator[Finding]:
+    for each in found:
+        if each.kind == "spring" and not springs:
+            continue
+        code, message, cure = _SAID[each.kind](result, each)
+        explained = f"; that explains {100 * each.share:.0f} % of the squared residual"
+        yield Finding(code, "warning", message + explained, cure, joint=each.joint)
+
+
+Said = tuple[str, str, Cure]
+
+
+def _clock(result: IdentificationResult, each: LogError) -> Said:
+    pace = "faster" if each.value > 0 else "slower"
+    factor = f"{1.0 / (1.0 + each.value):.4g}"
+    return (
+        "clock_wrong",
+        f"The torques are those of a motion {_percent(each)} {pace} than the clock of the log says:"
+        " only then do masses act alike by gravity and by acceleration",
+        Cure(
+            f"check the sampling rate; if it is wrong, multiply the times by {factor}"
+            f" (time_factor = {factor} in a recording sheet), or the rate by {1.0 + each.value:.4g}"
+        ),
+    )
+
+
+def _zero(result: IdentificationResult, each: LogError) -> Said:
+    k = result.model.joint_names.index(str(each.joint))
+    revolute = result.model.joints[k].is_revolute
+    scale, unit = (np.rad2deg(1.0), "deg") if revolute else (1e3, "mm")
+    zero = ["0"] * result.model.n_joints
+    zero[k] = f"{each.value:.3g}"
+    return (
+        "zero_position_wrong",
+        f"positions seem logged {_size(abs(scale * each.value), scale * each.std_error)} {unit} too"
+        f" {'large' if each.value > 0 else 'small'}: the zero position is not the description's",
+        Cure(
+            "check the calibration of the joint, or correct it in a recording sheet:"
+            f" zero = [{', '.join(zero)}]"
+        ),
+    )
+
+
+def _scale(result: IdentificationResult, each: LogError) -> Said:
+    factor = _size(1.0 + each.value, each.std_error)
+    if 1.0 + each.value < DEAD:
+        return (
+            "torque_does_not_follow",
+            f"the torque is {factor} of what the motion and the other joints imply: it is another"
+            " quantity, or its sensor fails",
+            Cure("check the column and the sensor"),
+        )
+    gains = ["1"] * result.model.n_joints
+    gains[result.model.joint_names.index(str(each.joint))] = f"{1.0 / (1.0 + each.value):.3g}"
+    return (
+        "joint_gain_wrong",
+        f"the torque is {factor} of what its own motion and the other joints imply",
+        Cure(
+            "check its gain; to agree with the others, multiply it in a recording sheet by gains ="
+            f" [{', '.join(gains)}]"
+        ),
+    )
+
+
+def _nonlinear(result: IdentificationResult, each: LogError) -> Said:
+    return (
+        "torque_saturates",
+        f"the largest torques are {_percent(each)} smaller than the small ones imply: the drive or"
+        " the sensor saturates, or a gain depends on the torque",
+        Cure("record a gentler motion, or check the range of the sensor"),
+    )
+
+
+def _drift(result: IdentificationResult, each: LogError) -> Said:
+    unit = torque_units(result.model)[result.model.joint_names.index(str(each.joint))]
+    return (
+        "torque_drifts",
+        f"the torque drifts by {_size(each.value, each.std_error)} {unit} over the recording",
+        Cure("let the sensor warm up and set it to zero, or identify shorter parts"),
+    )
+
+
+def _warming(result: IdentificationResult, each: LogError) -> Said:
+    return (
+        "friction_drifts",
+        f"friction {'rises' if each.value > 0 else 'falls'} by {_percent(each)} over the recording,"
+        " as that of a drive whose temperature changes; its parameters are those of the middle",
+        Cure("record cold and warm robots separately"),
+    )
+
+
+def _spring(result: IdentificationResult, each: LogError) -> Said:
+    joint = result.model.joint_names.index(str(each.joint)) + 1
+    terms = ",".join((*result.base.drive.without(Spring.key).specifications, _spring_at(joint)))
+    unit = "N m/rad" if result.model.joints[joint - 1].is_revolute else "N/m"
+    return (
+        "spring_suspected",
+        f"a spring of {_size(each.value, each.std_error)} {unit} would"
+        " explain the torque: cables or hoses that wind up there, or a sensor that drifts with"
+        " position",
+        Cure("if that can be, identify with the spring", {"drive": terms}),
+    )
+
+
+def _spring_at(joint: int) -> str:
+    return f"{Spring.key}:joints={joint}"
+
+
+_SAID: dict[Kind, Callable[[IdentificationResult, LogError], Said]] = {
+    "clock": _clock,
+    "zero": _zero,
+    "scale": _scale,
+    "nonlinear": _nonlinear,
+    "drift": _drift,
+    "warming": _warming,
+    "spring": _spring,
+}
+
+
+def _percent(each: LogError) -> str:
+    return f"{_size(100 * abs(each.value), 100 * each.std_error)} %"
+
+
+def _size(value: float, error: float) -> str:
+    """Return a value with its error, both to the second digit of the error."""
+    digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0.0 else 3
+    return f"{value:.{digits}f} +- {error:.{digits}f}"

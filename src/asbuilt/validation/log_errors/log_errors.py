@@ -1,0 +1,351 @@
+"""Errors of a log that its residual shows: clock, zero positions, gains, and what drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.identification.estimators.methods import methods
+from asbuilt.identification.information.estimate import Estimate
+from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.rows import sample_blocks
+from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.result.design_values import design_values
+from asbuilt.identification.result.torque_prediction import predict_torque
+from asbuilt.validation.log_errors.error_columns import (
+    Candidate,
+    ErrorColumns,
+    Kind,
+    largest_torques,
+    progress,
+)
+from asbuilt.validation.log_errors.forward_selection import BlockEquations, Chosen
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+    from asbuilt.identification.result.result import IdentificationResult
+
+MOST = 6
+"""Columns chosen, of the log and of the model together."""
+SEARCHED = 20_000
+"""Samples that are searched."""
+STRETCH = 10.0
+"""Length [s] of the stretches that are searched of longer recordings."""
+ROUNDS, SETTLED = 12, 1e-3
+"""Gauss-Newton steps, and the step at which they have settled."""
+CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
+"""Factors about which a clock is looked for that is off by more than what is first order."""
+LARGEST_STEP = 0.5
+"""Largest step of the logarithm of the clock's rate."""
+DEAD = -0.8
+"""Scale below which a torque cannot be divided by it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Say between which values an error is plausible, and from which size on it matters."""
+
+    lowest: float
+    highest: float
+    matters: float
+
+
+BOUNDS: dict[Kind, Bounds] = {
+    "clock": Bounds(-np.inf, np.inf, 0.01),
+    "zero": Bounds(-np.deg2rad(20.0), np.deg2rad(20.0), np.deg2rad(0.3)),
+    "scale": Bounds(-1.15, 1.0, 0.03),
+    "nonlinear": Bounds(-0.8, 0.0, 0.05),
+    "drift": Bounds(-np.inf, np.inf, 0.02),
+    "warming": Bounds(-1.5, 1.5, 0.05),
+    "spring": Bounds(-np.inf, np.inf, 0.02),
+}
+"""Own choices: what a robot in use can have; `drift` and `spring` in
+largest torques of the joint."""
+IN_TORQUES = ("drift", "spring")
+NAMED = 0.05
+"""Share of the squared residual from which on an error is named."""
+PRISMATIC_ZERO = Bounds(-0.05, 0.05, 1e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class LogError:
+    """Hold an error of a log: value and standard error as `Candidate` says, and its share.
+
+    `share` is what it takes away from the squared torque residual.
+    """
+
+    kind: Kind
+    joint: str | None
+    value: float
+    std_error: float
+    share: float
+
+
+def log_errors(
+    result: IdentificationResult,
+    training: Sequence[Samples],
+    *,
+    block_seconds: float | None = None,
+) -> tuple[LogError, ...]:
+    """Return the errors of the log that the residual of a result shows, the largest share first.
+
+    Columns of all candidates are added to the weighted least squares fit one at a time
+    (`BlockEquations.selected`). Their values are then found by Gauss-Newton steps, each about the
+    log with the errors so far taken out. A clock that explains most is named alone, for then the
+    other columns were those of wrong velocities; one that is off by a factor is looked for at
+    some factors.
+
+    Parameters
+    ----------
+    result
+        The result; candidates are linearised about its values.
+    training
+        The samples it was identified from.
+    block_seconds
+        Length of the time blocks of standard errors [s].
+    """
+    if not training:
+        return ()
+    search = _Search(result, _thinned(training), block_seconds)
+    pace = search.pace()
+    if pace is not None:
+        return (pace,)
+    found = search.chosen()
+    if found and found[0].kind == "clock":
+        return (found[0],) if _matters(found[0], 1.0) else ()
+    curved = {each.joint for each in found if each.kind == "nonlinear"}
+    return tuple(
+        each
+        for each in found
+        if each.kind not in ("clock", "tilt", "drive")
+        and each.share >= NAMED
+        and not (each.kind == "scale" and each.joint in curved)
+        and _matters(each, search.size(each))
+    )
+
+
+@dataclass(slots=True)
+class _Corrected:
+    """Hold what is taken out of a log: clock, zero positions, scales and drifts, (n,) each."""
+
+    zero: Array
+    scale: Array
+    drift: Array
+    clock: float = 1.0
+
+    @classmethod
+    def nothing(cls, n: int) -> _Corrected:
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+    def take(self, candidate: Candidate, step: float) -> float:
+        """Take out more; returns the step taken, 0 for what stays in the fit."""
+        if candidate.kind == "clock":
+            step = float(np.clip(step, -LARGEST_STEP, LARGEST_STEP))
+            self.clock *= float(np.exp(step))
+            return step
+        held = {"zero": self.zero, "scale": self.scale, "drift": self.drift}.get(candidate.kind)
+        if held is None or candidate.joint is None:
+            return 0.0
+        if candidate.kind != "scale":
+            held[candidate.joint] += step
+            return step if candidate.kind == "zero" else 0.0
+        if step < DEAD:
+            return 0.0
+        held[candidate.joint] += step * (1.0 + held[candidate.joint])
+        return step
+
+    def value(self, candidate: Candidate) -> float | None:
+        """Return what was taken out by a candidate; None for what stays in the fit."""
+        if candidate.kind == "clock":
+            return self.clock - 1.0
+        held = {"zero": self.zero, "scale": self.scale, "drift": self.drift}.get(candidate.kind)
+        if held is None or candidate.joint is None:
+            return None
+        dead = candidate.kind == "scale" and held[candidate.joint] == 0.0
+        return None if dead else float(held[candidate.joint])
+
+    def of(self, samples: Samples) -> Samples:
+        """Return samples without these errors."""
+        tau = samples.tau - self.drift * progress(samples.t, samples.t)[:, None]
+        return replace(
+            samples,
+            q=samples.q - self.zero,
+            qd=samples.qd * self.clock,
+            qdd=samples.qdd * self.clock**2,
+            tau=tau / (1.0 + self.scale),
+        )
+
+
+class _Search:
+    """Search the errors of a log."""
+
+    def __init__(
+        self,
+        result: IdentificationResult,
+        training: Sequence[Samples],
+        block_seconds: float | None,
+    ) -> None:
+        self._result, self._training, self._seconds = result, training, block_seconds
+        self._largest = largest_torques(training)
+        self._first = self._equations(_Corrected.nothing(len(self._largest)), result.estimates)
+
+    def size(self, error: LogError) -> float:
+        """Return in what the value of an error counts."""
+        names = self._result.model.joint_names
+        in_torques = error.kind in IN_TORQUES and error.joint is not None
+        return float(self._largest[names.index(str(error.joint))]) if in_torques else 1.0
+
+    def pace(self) -> LogError | None:
+        """Return the error of a clock that is off by about one of some factors, if one is."""
+        whole = self._first[1].residual
+        own = Candidate("clock", None)
+        nothing = _Corrected.nothing(len(self._largest))
+        left = {
+            factor: self._residual(replace(nothing, clock=factor).of) for factor in CLOCK_FACTORS
+        }
+        best = min(left, key=lambda factor: left[factor])
+        if left[best] > (1.0 - NAMED) * whole:
+            return None
+        (error,) = self._refined([(own, 0.0)], replace(nothing, clock=best)) or (None,)
+        if error is None:
+            return None
+        after = self._residual(replace(nothing, clock=1.0 + error.value).of)
+        return replace(error, share=1.0 - after / whole)
+
+    def chosen(self) -> list[LogError]:
+        """Return the errors chosen one at a time, with their values by Gauss-Newton steps."""
+        columns, equations = self._first
+        candidates = columns.candidates
+
+        def admitted(column: int, value: float) -> bool:
+            bounds = self._bounds(candidates[column])
+            return bounds is None or bounds.lowest <= value <= bounds.highest
+
+        picked = equations.selected(MOST, admitted)
+        if not any(
+            candidates[each.column].kind in BOUNDS and each.share >= NAMED for each in picked
+        ):
+            return []
+        return self._refined(
+            [(candidates[each.column], each.share) for each in picked],
+            _Corrected.nothing(len(self._largest)),
+            [each.column for each in picked],
+        )
+
+    def _refined(
+        self,
+        picked: Sequence[tuple[Candidate, float]],
+        taken: _Corrected,
+        columns: Sequence[int] = (0,),
+    ) -> list[LogError]:
+        """Return errors with the values at which nothing more is to be taken out."""
+        if not picked:
+            return []
+        if picked[0][0].kind == "clock":
+            picked, columns = picked[:1], columns[:1]
+        for _ in range(ROUNDS):
+            solved = {
+                each.column: each for each in self._equations(taken, None)[1].together(columns)
+            }
+            steps = [
+                taken.take(own, solved[column].value) if column in solved else 0.0
+                for (own, _), column in zip(picked, columns, strict=True)
+            ]
+            if max(map(abs, steps)) < SETTLED:
+                return [
+                    self._named(own, taken.value(own), solved[column], share)
+                    for (own, share), column in zip(picked, columns, strict=True)
+                    if column in solved
+                ]
+        return []
+
+    def _named(self, own: Candidate, value: float | None, solved: Chosen, share: float) -> LogError:
+        joint = None if own.joint is None else self._result.model.joint_names[own.joint]
+        relative = own.kind in ("clock", "scale") and value is not None
+        factor = 1.0 + value if relative else 1.0
+        return LogError(
+            own.kind,
+            joint,
+            solved.value if value is None else value,
+            abs(factor) * solved.std_error,
+            share,
+        )
+
+    def _bounds(self, candidate: Candidate) -> Bounds | None:
+        """Return the bounds of a candidate; None for what the model may lack."""
+        if candidate.kind == "zero" and candidate.joint is not None:
+            revolute = self._result.model.joints[candidate.joint].is_revolute
+            return BOUNDS["zero"] if revolute else PRISMATIC_ZERO
+        return BOUNDS.get(candidate.kind)
+
+    def _fit(self, training: Sequence[Samples]) -> Estimate:
+        model, base = self._result.model, self._result.base
+        information = accumulate_stream(model, base, training, block_seconds=self._seconds)
+        data = EstimationData(model, information, training, design_values(model, base))
+        return methods.find("wls").estimate(data)
+
+    def _residual(self, change: Callable[[Samples], Samples]) -> float:
+        """Return the squared residual of a fit to changed samples, weighted as the first fit."""
+        training = [change(samples) for samples in self._training]
+        estimate, weights = self._fit(training), self._weights
+        prediction = [
+            predict_torque(self._result.model, self._result.base, estimate.beta, samples)
+            for samples in training
+        ]
+        return float(sum(np.sum((each.error * weights) ** 2) for each in prediction))
+
+    def _equations(
+        self, taken: _Corrected, values: Array | None
+    ) -> tuple[ErrorColumns, BlockEquations]:
+        """Return candidates about values (None: those of the fit), and their normal equations."""
+        model, base = self._result.model, self._result.base
+        training = [taken.of(samples) for samples in self._training]
+        estimate = self._fit(training)
+        columns = ErrorColumns(
+            model, base, estimate.beta if values is None else values, self._largest
+        )
+        m = len(columns.candidates)
+        plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=m + 1)
+        root = estimate.solution.inverse_root
+        r = root.shape[1]
+        if values is not None:
+            self._weights = np.asarray(estimate.weights)
+        parts: list[tuple[Array, Array, float]] = []
+        with one_blas_thread():
+            for part in sample_blocks(model, training, self._seconds):
+                beside = partial(columns.evaluate, part.samples)
+                gram, score, square = np.zeros((r + m, r + m)), np.zeros(r + m), 0.0
+                for chunk in part.chunks(plan, beside):
+                    for k, rows in enumerate(chunk):
+                        support, weight = plan.support[k], estimate.weights[k]
+                        known = rows[: -m - 1]
+                        e = weight * (rows[-1] - estimate.beta[support] @ known)
+                        x = weight * np.vstack([root[support].T @ known, rows[-m - 1 : -1]])
+                        gram += x @ x.T
+                        score += x @ e
+                        square += float(e @ e)
+                parts.append((gram, score, square))
+        grams, scores, squares = map(np.array, zip(*parts, strict=True))
+        return columns, BlockEquations(grams, scores, squares, r)
+
+
+def _matters(error: LogError, size: float) -> bool:
+    return abs(error.value) >= BOUNDS[error.kind].matters * size
+
+
+def _thinned(training: Sequence[Samples]) -> list[Samples]:
+    """Return stretches of all recordings with at most about `SEARCHED` samples together."""
+    n_samples = sum(samples.n_samples for samples in training)
+    every = -(-n_samples // SEARCHED)
+    if every <= 1:
+        return list(training)
+    return [
+        samples.select((samples.t - samples.t[0]) // STRETCH % every == 0.0) for samples in training
+    ]

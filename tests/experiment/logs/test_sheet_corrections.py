@@ -1,0 +1,47 @@
+"""Zero positions and clock that a recording sheet corrects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.readers import read_recording
+
+MODEL = bundled_robot("two-link")
+
+
+def log_with(folder: Path, sheet: str) -> Path:
+    rows = "\n".join(f"{0.02 * k},{0.1 * k},{-0.2 * k},1,2" for k in range(50))
+    log = folder / "log.csv"
+    log.write_text("t,q_1,q_2,tau_1,tau_2\n" + rows + "\n")
+    (folder / "log.toml").write_text(sheet)
+    return log
+
+
+def test_zero_positions_are_subtracted(tmp_path: Path) -> None:
+    recording = read_recording(log_with(tmp_path, "zero = [0.5, -0.25]"), model=MODEL)
+    np.testing.assert_allclose(recording.q[:, 0], 0.1 * np.arange(50) - 0.5)
+    np.testing.assert_allclose(recording.q[:, 1], -0.2 * np.arange(50) + 0.25)
+    assert any("positions count from 0.5, -0.25" in note for note in recording.notes)
+
+
+def test_the_clock_is_multiplied(tmp_path: Path) -> None:
+    recording = read_recording(log_with(tmp_path, "time_factor = 0.5"), model=MODEL)
+    np.testing.assert_allclose(np.diff(recording.t), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("sheet", "said"),
+    [
+        ("zero = [1, 2, 3]", "3 zero positions for 2 joints"),
+        ("zero = [nan, 0]", "zero"),
+        ("time_factor = 0", "time_factor"),
+    ],
+)
+def test_impossible_corrections_are_refused(tmp_path: Path, sheet: str, said: str) -> None:
+    with pytest.raises(RecordingError, match=said):
+        read_recording(log_with(tmp_path, sheet), model=MODEL)

@@ -1,0 +1,148 @@
+"""Errors put into the logs of virtual robots are named with their size, and no others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asbuilt.arrays import Array
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.identification.identify import identify_samples
+from asbuilt.validation.log_errors.findings import log_error_findings
+from asbuilt.validation.log_errors.log_errors import LogError, log_errors
+
+DRIVE = DriveSet.parse("viscous,coulomb,offset")
+Fault = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
+
+
+def logged(model: RobotModel, fault: Fault | None = None, seed: int = 1) -> Recording:
+    """Return a log of a robot as described, noise 1 % of the torque, with a fault of the log."""
+    machine = VirtualRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints))
+    motion = random_fourier(model, rng=seed, duration=30.0)
+    log = machine.record(motion, rate=100.0).recording
+    t, q, tau = (np.array(x) for x in (log.t, log.q, log.tau))
+    level = 0.01 * np.sqrt(np.mean(tau**2, axis=0))
+    if fault is not None:
+        t, q, tau = fault(t, q, tau)
+    noise = level * np.random.default_rng(seed).normal(size=tau.shape)
+    return replace(log, t=t, q=q, tau=tau + noise, qd=None, qdd=None)
+
+
+def found(name: str, fault: Fault | None = None) -> tuple[LogError, ...]:
+    model = bundled_robot(name)
+    samples = prepare_samples(logged(model, fault))
+    return log_errors(identify_samples(model, samples, drive=DRIVE), [samples])
+
+
+def slow_clock(factor: float) -> Fault:
+    return lambda t, q, tau: (factor * t, q, tau)
+
+
+def zero_off(joint: int, by: float) -> Fault:
+    return lambda t, q, tau: (t, q + by * np.eye(q.shape[1])[joint], tau)
+
+
+def gain(joint: int, factor: float) -> Fault:
+    return lambda t, q, tau: (t, q, tau * (1.0 + (factor - 1.0) * np.eye(q.shape[1])[joint]))
+
+
+def saturating(joint: int, part: float) -> Fault:
+    def fault(t: Array, q: Array, tau: Array) -> tuple[Array, Array, Array]:
+        limit = part * np.abs(tau[:, joint]).max()
+        held = tau.copy()
+        held[:, joint] = np.clip(tau[:, joint], -limit, limit)
+        return t, q, held
+
+    return fault
+
+
+def drifting(joint: int, by: float) -> Fault:
+    return lambda t, q, tau: (
+        t,
+        q,
+        tau + by * np.outer(t / t[-1], np.eye(q.shape[1])[joint]),
+    )
+
+
+@pytest.mark.parametrize("name", ["ur10e", "franka-panda", "scara"])
+def test_a_right_log_has_no_errors(name: str) -> None:
+    assert found(name) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [
+        ("ur10e", 1.05),
+        ("ur10e", 0.5),
+        ("ur10e", 2.0),
+        ("franka-panda", 0.5),
+        ("franka-panda", 2.0),
+        ("kuka-iiwa7-r800", 0.9),
+        ("kuka-iiwa7-r800", 10.0),
+    ],
+)
+def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:
+    (error,) = found(name, slow_clock(factor))
+    assert (error.kind, error.joint) == ("clock", None)
+    assert error.value + 1.0 == pytest.approx(factor, abs=max(5.0 * error.std_error, 1e-3))
+    assert error.std_error < 0.01 * factor
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "by"),
+    [("ur10e", 1, 0.035), ("ur10e", 3, -0.05), ("franka-panda", 3, 0.035)],
+)
+def test_a_wrong_zero_position_is_measured(name: str, joint: int, by: float) -> None:
+    error = found(name, zero_off(joint, by))[0]
+    assert (error.kind, error.joint) == ("zero", bundled_robot(name).joint_names[joint])
+    assert error.value == pytest.approx(by, abs=4.0 * error.std_error)
+    assert error.std_error < 0.2 * abs(by)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "factor"), [("ur10e", 1, 0.9), ("franka-panda", 3, 1.15), ("scara", 1, 0.85)]
+)
+def test_a_wrong_gain_is_measured(name: str, joint: int, factor: float) -> None:
+    error = found(name, gain(joint, factor))[0]
+    assert (error.kind, error.joint) == ("scale", bundled_robot(name).joint_names[joint])
+    assert 1.0 + error.value == pytest.approx(factor, abs=4.0 * error.std_error)
+
+
+def test_a_dead_sensor_is_named() -> None:
+    model = bundled_robot("ur10e")
+    samples = prepare_samples(logged(model, gain(2, 0.0)))
+    result = identify_samples(model, samples, drive=DRIVE)
+    codes = {each.code: each for each in log_error_findings(result, [samples])}
+    assert codes["torque_does_not_follow"].joint == model.joint_names[2]
+
+
+@pytest.mark.parametrize(("name", "joint"), [("ur10e", 1), ("ur10e", 2)])
+def test_a_saturated_torque_is_named(name: str, joint: int) -> None:
+    errors = found(name, saturating(joint, 0.6))
+    assert ("nonlinear", bundled_robot(name).joint_names[joint]) in [
+        (each.kind, each.joint) for each in errors
+    ]
+
+
+def test_a_drifting_sensor_is_measured() -> None:
+    (error,) = found("ur10e", drifting(1, 8.0))
+    assert (error.kind, error.joint) == ("drift", "shoulder_lift_joint")
+    assert error.value == pytest.approx(8.0, abs=4.0 * error.std_error)
+
+
+def test_the_cure_of_a_zero_position_is_a_field_of_a_sheet() -> None:
+    model = bundled_robot("ur10e")
+    samples = prepare_samples(logged(model, zero_off(1, 0.035)))
+    (finding,) = log_error_findings(identify_samples(model, samples, drive=DRIVE), [samples])
+    assert finding.code == "zero_position_wrong"
+    assert "deg too large" in finding.message
+    assert "zero = [0, 0.03" in str(finding.cure)
