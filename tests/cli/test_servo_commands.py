@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+import json
+import re
+import subprocess
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
+import polars
 import pytest
 from PIL import Image
 
 from asbuilt.description.load import load_robot
+from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
+from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
+from asbuilt.identification.trajectories.simulated_robot import robot_as_built
+from asbuilt.identification.trajectories.windows import cut_windows, driving_signal
+from asbuilt.workflow.result_files import read_result
+from asbuilt.writers.models.simulators.simulator_format import SIMULATOR_FORMATS
 from command_line import call, document
 
 WINDOWS = ("--rollout", "0.5,1")
@@ -84,3 +100,92 @@ def test_arms_of_a_humanoid_roll_out(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert rollout["as_built"]["rms_all"] < 0.5 * rollout["cad"]["rms_all"]
     (delay,) = found["delay"]
     assert abs(delay["estimate"] - 0.01) < 0.001
+
+
+@pytest.mark.parametrize(("ending", "option"), [(".xml", ()), (".urdf", ("--urdf",))])
+def test_an_ensemble_is_a_folder_that_its_module_loads(
+    ending: str,
+    option: tuple[str, ...],
+    study: Path,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    place = folder / f"ensemble{ending}"
+    told = ("export", folder / "study" / "result.json", *option, "--ensemble", 4, "-o", place)
+    found = document(capsys, *told, "--seed", 1)
+    frame = polars.read_parquet(place / "parameters.parquet")
+    assert frame.height == found["draws"] == 4
+    ranges = {each["name"]: (each["q05"], each["q95"]) for each in found["parameters"]}
+    for name, (low, high) in ranges.items():
+        assert low <= high, name
+        assert np.allclose((low, high), np.quantile(frame[name], [0.05, 0.95])), name
+    assert ranges["Ia1"][0] < ranges["Ia1"][1]
+    for k, path in enumerate(found["files"]["models"]):
+        assert path.endswith(ending)
+        again = load_robot(path)
+        row = frame.row(k, named=True)
+        masses = [link.inertia.mass for link in again.links]
+        assert np.allclose(masses, [row[f"m{i + 1}"] for i in range(5)], rtol=1e-9)
+        if ending == ".xml":
+            own = [joint.drive.armature for joint in again.joints]
+            assert np.allclose(own, [row[f"Ia{i + 1}"] for i in range(5)], rtol=1e-9)
+    run = subprocess.run(
+        [sys.executable, place / "load_ensemble.py"], capture_output=True, text=True, check=True
+    )
+    totals = [float(line.split()[-1]) for line in run.stdout.splitlines()]
+    held = [float(frame.row(k, named=True)["m1"]) for k in range(4)]
+    assert len(totals) == 4
+    assert all(total > mass for total, mass in zip(totals, held, strict=True))
+    before = frame.to_numpy()
+    document(capsys, *told, "--seed", 1)
+    assert np.array_equal(polars.read_parquet(place / "parameters.parquet").to_numpy(), before)
+
+
+def test_every_simulator_format_is_written_and_says_what_it_cannot_hold(
+    study: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    endings = {"usd": ".usda", "bam": ".json", "isaac-lab": ".py", "mjlab": ".py"}
+    places = {key: folder / f"{key}{endings.get(key, '.xml')}" for key in SIMULATOR_FORMATS}
+    told = [x for key, place in places.items() for x in ("--to", f"{key}={place}")]
+    found = document(capsys, "export", folder / "study" / "result.json", *told)
+    assert {Path(found["files"][key]) for key in places} == set(places.values())
+    assert all(found["notes"][key] for key in places), "this result has an offset and a delay"
+    result = read_result(folder / "study" / "result.json")
+    armature = as_built_parameters(result).parameters[50 :: result.base.drive.columns_per_joint]
+    bam = json.loads(places["bam"].read_text())
+    assert np.allclose([bam[name]["armature"] for name in result.joint_names], armature)
+    for key in ("isaac-lab", "mjlab"):
+        text = places[key].read_text()
+        compile(text, key, "exec")
+        assert all(f"{value!r}" in text for value in armature.tolist()), key
+    tags = ElementTree.parse(places["ros2-control"]).getroot().findall("joint")
+    assert [tag.get("name") for tag in tags] == list(result.joint_names)
+    usd = places["usd"].read_text()
+    stiffness = [float(x) for x in re.findall(r"physics:stiffness = (\S+)", usd)]
+    assert result.servo is not None
+    assert np.allclose(np.array(stiffness) * np.degrees(1.0), result.servo.kp)
+
+
+def test_the_exported_mjcf_moves_as_the_rollout(
+    study: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """MuJoCo's own actuators, stepped one by one, against asbuilt's rollout of the result."""
+    place = folder / "as_built.xml"
+    document(capsys, "export", folder / "study" / "result.json", "--mjcf", place)
+    result = read_result(folder / "study" / "result.json")
+    assert result.servo is not None
+    recording = read_recording(study, model=result.model)
+    samples = prepare_samples(recording, SignalChain(cutoff=10.0, rests=True))
+    windows = cut_windows(recording, samples, 0.5, driving_signal(recording)).some(slice(0, 6))
+    own = simulate_windows(robot_as_built(result, result.servo), windows)
+    robot = mujoco.MjModel.from_xml_path(str(place))
+    assert robot.opt.timestep == windows.step
+    for w, controls in enumerate(windows.inputs(result.servo.delay or 0.0)):
+        data = mujoco.MjData(robot)
+        data.qpos[:], data.qvel[:] = windows.start_q[w], windows.start_qd[w]
+        q = [data.qpos.copy()]
+        for control in controls:
+            data.ctrl[:] = control
+            mujoco.mj_step(robot, data)
+            q.append(data.qpos.copy())
+        np.testing.assert_allclose(np.array(q[:: windows.divisions]), own[w], rtol=0, atol=1e-9)

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
-SCALED = ("mass", "armature", "damping", "friction loss")
+TOGETHER = "damping + kv"
+"""Damping of a joint and that of its servo, where only their sum is judged."""
+SCALED = ("mass", "armature", "damping", TOGETHER, "friction loss")
 """Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
 
 
@@ -58,12 +60,12 @@ def servo_claims(
     `claims` are those of drives, `peaks` (n,) the largest torques that the servos were asked for.
     """
     found = []
-    damping = {claim.joint: claim for claim in claims if claim.what == "damping"}
+    together = {claim.joint for claim in claims if claim.what == TOGETHER}
     for k, joint in enumerate(model.joints):
         if joint.drive.kp is not None:
             found.append(_stiffness(result, k, joint.name, joint.drive.kp))
-        if joint.drive.kd:
-            found.append(_damping(result, k, joint.name, joint.drive.kd, damping))
+        if joint.drive.kd and joint.name not in together:
+            found.append(_damping(result, k, joint.name, joint.drive.kd))
         if np.isfinite(joint.limits.torque) and peaks is not None:
             found.append(_limit(joint.name, joint.limits.torque, float(peaks[k])))
     return found
@@ -117,28 +119,14 @@ def _stiffness(result: IdentificationResult, k: int, joint: str, claimed: float)
     )
 
 
-def _damping(
-    result: IdentificationResult, k: int, joint: str, claimed: float, damping: dict[str, Claim]
-) -> Claim:
+def _damping(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
     claim = Claim("kv", joint, "N m s/rad", claimed, None, None, "undetermined")
-    errors, together = result.servo_errors, damping.get(joint)
+    errors = result.servo_errors
     if errors is None:
         return replace(claim, note="the torque of this recording is not that of the servo")
     if not errors.kd_unknown[k]:
         return replace(claim, note="given, not judged")
-    claim = replace(claim, alias_of=(f"damping of {joint}",))
-    if together is None or together.estimate is None:
-        return claim
-    return replace(
-        claim,
-        estimate=claimed + together.estimate - together.claimed,
-        std_error=together.std_error,
-        verdict=together.verdict,
-        torque=together.torque,
-        p_value=together.p_value,
-        alike=together.alike,
-        note="judged with the claimed damping: only their sum acts",
-    )
+    return replace(claim, alias_of=(f"damping of {joint}",))
 
 
 def _limit(joint: str, claimed: float, peak: float) -> Claim:

@@ -22,7 +22,7 @@ from asbuilt.validation.review.review import ORDER, RESOLUTION, Review
 
 MOST_CLAIMS = 24
 """Claims in a short text."""
-DRIVES = ("armature", "damping", "friction loss", "kp", "kv", "forcerange")
+DRIVES = ("armature", "damping", "damping + kv", "friction loss", "kp", "kv", "forcerange")
 
 
 def review_document(review: Review) -> dict[str, Any]:
