@@ -189,3 +189,38 @@ def test_the_exported_mjcf_moves_as_the_rollout(
             mujoco.mj_step(robot, data)
             q.append(data.qpos.copy())
         np.testing.assert_allclose(np.array(q[:: windows.divisions]), own[w], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("columns", "gains", "worst"),
+    [("20-25", [14.87, 13.26, 11.13, 10.62, 11.03, 11.47], 8e-3), ("26-31", None, 6e-4)],
+)
+def test_commanded_currents_and_torques_of_a_ur10e_roll_out(
+    columns: str,
+    gains: list[float] | None,
+    worst: float,
+    shared: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """`i_desired` with the gains of its publication, and `tau_desired`, of a real arm."""
+    sheet = tmp_path / "ur10e.toml"
+    sheet.write_text(
+        'torque_source = "command"\n'
+        + (f"gains = {gains}\n" if gains else "")
+        + '[columns]\ntime = 1\nposition = "2-7"\nvelocity = "8-13"\n'
+        + f'torque = "{columns}"\n'
+    )
+    first, other = (
+        shared / "data" / "ur10e" / name
+        for name in ("ur-20_02_10-30sec_12harm.csv", "ur-20_02_12-40sec_12harm.csv")
+    )
+    told = ("identify", "ur10e", first, "--sheet", sheet, "--validate", other)
+    found = document(capsys, *told, "--rollout", "0.1,0.5")
+    assert found["validation"][0]["relative_error"] < 0.03
+    for rollout, most in zip(found["rollout"], (worst / 8.0, worst), strict=True):
+        assert rollout["driven_by"] == "torque"
+        assert rollout["no_physics"] is None
+        assert rollout["as_built"]["rms_all"] < most
+        cad = rollout["cad"]["rms_all"]
+        assert cad is None or cad > 10.0 * rollout["as_built"]["rms_all"]

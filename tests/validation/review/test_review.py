@@ -47,8 +47,14 @@ def described(tmp_path_factory, **changed):
 @pytest.fixture(scope="module")
 def recording():
     """A simulation of the true servo arm by MuJoCo."""
+    return recorded(9.0)
+
+
+def recorded(limit):
+    """Record the servo arm with a torque limit."""
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(ROBOT.format(**TRUTH))
+    model.actuator_forcerange[:] = [-limit, limit]
     model.geom_contype[:] = 0
     model.dof_solref[:], model.dof_solimp[:] = [0.004, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
     data, per, n = mujoco.MjData(model), round(1.0 / RATE / STEP), 4000
@@ -121,6 +127,22 @@ def test_unknown_gains_of_the_servo(recording, tmp_path_factory):
     together = found.of("damping + kv", "lift")
     assert (together.verdict, together.claimed) == ("contradicted", 2.4)
     assert abs(together.estimate - 0.6) < 4.0 * together.std_error + 0.05
+
+
+@pytest.mark.parametrize(("limit", "contradicted"), [(9.0, True), (4.0, False)])
+def test_a_torque_limit_that_the_command_exceeds_is_judged(limit, contradicted, tmp_path_factory):
+    """Claimed is 4 N m; the true arm has 9 or 4 N m."""
+    claimed = described(tmp_path_factory)
+    joints = [
+        dataclasses.replace(joint, limits=dataclasses.replace(joint.limits, torque=4.0))
+        for joint in claimed.joints
+    ]
+    claimed = dataclasses.replace(claimed, joints=tuple(joints))
+    found = review(claimed, driven(recorded(limit), 15.0, 0.2))
+    claim = found.of("forcerange", "lift")
+    assert (claim.verdict == "contradicted") == contradicted
+    assert claim.estimate > 4.0
+    assert "where the command asks for" in claim.note
 
 
 def test_a_value_that_no_robot_has_contradicts_nothing(recording, tmp_path_factory):

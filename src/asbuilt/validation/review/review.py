@@ -30,6 +30,7 @@ from asbuilt.validation.review.servo_claims import (
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
+    from asbuilt.validation.prediction import Validation
 
 ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
@@ -109,6 +110,7 @@ def review_result(
     *,
     described: RobotModel | None = None,
     peaks: Array | None = None,
+    motions: Sequence[Validation] = (),
     tolerance: CadTolerance = PLAUSIBLE,
     level: float = FALSE_DISCOVERY_RATE,
     findings: Sequence[Finding] = (),
@@ -123,6 +125,8 @@ def review_result(
         The robot with its claims; None: that of the result.
     peaks
         Largest torque that the servo of each joint was asked for (n,), for torque limits.
+    motions
+        Torques asked for and as built, which show torque limits.
     tolerance
         What is plausible for masses, centres and inertias while another number is judged.
     level
@@ -158,7 +162,7 @@ def review_result(
         for j, number in enumerate(numbers)
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
-    claims += servo_claims(result, model, claims, peaks)
+    claims += servo_claims(result, model, claims, peaks, motions)
     judged = beside_servo(result, _judged(claims, level))
     return Review(
         result.robot,
