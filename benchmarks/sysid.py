@@ -123,7 +123,7 @@ def _relative(found: Array, truth: Array) -> float:
 
 
 def _specification(model: RobotModel, servo: PositionServo) -> Any:
-    """Return MuJoCo's description with position actuators."""
+    """Return MuJoCo's description with position actuators and sensors."""
     spec = mujoco.MjSpec.from_string(mjcf_text(model, actuators=False, shapes=False))
     spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= int(
@@ -142,6 +142,12 @@ def _specification(model: RobotModel, servo: PositionServo) -> Any:
             biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         )
         actuator.gainprm[0], actuator.biasprm[:3] = kp, [0.0, -kp, -kd]
+        spec.add_sensor(  # mujoco.sysid checks that there are as many as measured signals
+            name=f"{name}_position",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=name,
+        )
     return spec
 
 
