@@ -63,7 +63,7 @@ def review_table(review: Review) -> Table:
     """Return one row per claim, contradicted ones first; short: drives before bodies."""
     columns = (
         Column("verdict"),
-        Column("number"),
+        Column("number", width=13),
         Column("joint", width=22),
         Column("unit", detail=True),
         Column("claimed", align="decimal"),
