@@ -96,13 +96,12 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
         )
     if not any(changes.values()):
         return robot
-    parts: dict[str, Any] = {
-        "controller" if part in FOLLOWERS else part: replace(
-            robot.controller if part in FOLLOWERS else getattr(robot, part), **changed
-        )
-        for part, changed in changes.items()
-        if part and changed
-    }
+    parts: dict[str, Any] = {}
+    for part, changed in changes.items():
+        if part and changed:
+            place = "controller" if part in FOLLOWERS else part
+            old: Any = getattr(robot, place)
+            parts[place] = replace(old, **changed)
     return replace(robot, **parts, **changes[""])
 
 
