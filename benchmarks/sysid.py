@@ -1,10 +1,12 @@
 """Armature, damping and dry friction of a servo arm from its command: against `mujoco.sysid`.
 
 Both fit the same parameters (links and gains held at the truth) to the same windows, which MuJoCo's
-own position actuators made, from the same start and on the same machine (compiled code of asbuilt
-is compiled before). `mujoco.sysid` comes with
-the mujoco package and needs the extra `mujoco[sysid]`; without it, only the times of asbuilt are
-measured.
+own position actuators made, from the same start and initial states and on the same machine
+(compiled code of asbuilt is compiled before). `mujoco.sysid` gets the logged positions at their
+times as positions of the state: as readings of sensors they would be compared one step late, since
+its rollout stamps sensors, which are of the state before a step, with the time after it. It comes
+with the mujoco package and needs the extra `mujoco[sysid]`; without it, only the times of asbuilt
+are measured.
 """
 
 from __future__ import annotations
@@ -140,7 +142,7 @@ def _specification(model: RobotModel, servo: PositionServo) -> Any:
             biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         )
         actuator.gainprm[0], actuator.biasprm[:3] = kp, [0.0, -kp, -kd]
-        spec.add_sensor(
+        spec.add_sensor(  # mujoco.sysid checks that there are as many as measured signals
             name=f"{name}_position",
             type=mujoco.mjtSensor.mjSENS_JOINTPOS,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
@@ -213,14 +215,16 @@ def _by_sysid(
                 )
             )
     times = windows.step * np.arange(windows.n_steps + 1)
+    positions = [(joint.name, sysid.SignalType.MjStateQPos) for joint in start.joints]
     inputs = windows.inputs()
     states, controls, measured = [], [], []
     for w in range(windows.n_windows):
         states.append(sysid.create_initial_state(compiled, windows.start_q[w], windows.start_qd[w]))
         held = np.concatenate([inputs[w], inputs[w][-1:]])
         controls.append(sysid.TimeSeries.from_control_names(times, held, compiled))
-        sampled = np.stack([np.interp(times, windows.times, x) for x in windows.q[w].T], axis=1)
-        measured.append(sysid.TimeSeries.from_names(times, sampled, compiled))
+        measured.append(
+            sysid.TimeSeries.from_names(windows.times, windows.q[w], compiled, positions)
+        )
     sequences = sysid.ModelSequences(
         "arm",
         spec,

@@ -31,6 +31,9 @@ DOCS = Path(__file__).resolve().parent
 BUILT, KEPT = DOCS / "built", DOCS / "pictures"
 STAMP = BUILT / "complete"
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")
+SERVOS = ("so-101", "go2")
+LARGEST = 2_000_000
+"""Largest animation [bytes]."""
 ORANGE, BLUE, GRAY = "#d9731a", "#2166ac", "#444444"
 
 mpl.rcParams.update(
@@ -85,6 +88,23 @@ def tutorial(folder: Path) -> None:
     filter_figure(asbuilt.read_recording(folder / "log.csv", model=model))
     truth = json.loads((folder / "log_truth.json").read_text())
     error_figure(asbuilt.read_result(folder / "study" / "result.json"), truth)
+
+
+def rollouts(folder: Path) -> None:
+    """Identify robots from commands, and animate what was held out beside its simulation."""
+    for name in SERVOS:
+        for line in (
+            f"simulate {name} --preset servo --duration 30 --seed 1 -o {name}.csv",
+            f"identify {name} {name}.csv --holdout last:0.3 -o {name}",
+            f"validate {name}/result.json {name}.csv --rollout 0.5,2 --animation {name}.webp"
+            f" -o {name}",
+        ):
+            run(folder, line)
+        shutil.copy(folder / f"{name}.webp", BUILT / f"rollout_{name}.webp")
+        shutil.copy(folder / name / "rollout.html", BUILT / f"rollout_{name}.html")
+        size = (BUILT / f"rollout_{name}.webp").stat().st_size
+        if size > LARGEST:
+            raise RuntimeError(f"rollout_{name}.webp has {size} bytes, more than {LARGEST}")
 
 
 def motion_figure(model: asbuilt.RobotModel, motion: object) -> None:
@@ -257,6 +277,7 @@ def main() -> None:
     friction_figure()
     with tempfile.TemporaryDirectory() as folder:
         tutorial(Path(folder))
+        rollouts(Path(folder))
     reproduction()
     STAMP.write_text("")
 

@@ -14,9 +14,12 @@ from asbuilt.errors import DescriptionError
 
 EXPECTED = {
     "franka-panda": 7,
+    "g1-arms": 14,
+    "go2": 12,
     "kuka-iiwa7-r800": 7,
     "puma-560": 6,
     "scara": 4,
+    "so-101": 5,
     "two-link": 2,
     "ur10e": 6,
 }
@@ -104,6 +107,40 @@ def test_the_ur10e_needs_the_torques_of_the_manufacturers_urdf(shared):
         assert a.limits.torque == b.limits.torque
 
 
+def test_the_so_101_needs_the_torques_of_the_makers_file(shared):
+    ours = load_robot("so-101")
+    theirs = load_robot(shared / "models" / "so101" / "so101_new_calib.xml").locked(
+        {"gripper": 0.0}
+    )
+    assert ours.joint_names == theirs.joint_names
+    q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 50, 5))
+    assert np.allclose(
+        inverse_dynamics(ours, q, qd, qdd), inverse_dynamics(theirs, q, qd, qdd), atol=1e-7
+    )
+
+
+def test_the_go2_needs_the_torques_of_the_menagerie(shared):
+    ours = load_robot("go2")
+    theirs = load_robot(shared / "models" / "go2" / "go2.xml", fixed_base=True)
+    assert ours.joint_names == theirs.joint_names
+    q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 50, 12))
+    assert np.allclose(
+        inverse_dynamics(ours, q, qd, qdd), inverse_dynamics(theirs, q, qd, qdd), atol=1e-6
+    )
+
+
+def test_the_arms_of_the_g1_mirror_each_other():
+    """Mirrored at y = 0, rotations about x and z change their sign, those about y do not."""
+    from asbuilt.dynamics.newton_euler import gravity_torque
+
+    model = load_robot("g1-arms")
+    q = np.random.default_rng(1).uniform(-1, 1, 7)
+    signs = np.array([1, -1, -1, 1, -1, 1, -1])
+    left, right = np.split(gravity_torque(model, np.concatenate([q, signs * q])), 2)
+    assert np.allclose(left, signs * right, atol=2e-6)
+    assert np.abs(left).max() > 1.0
+
+
 def test_the_panda_reproduces_the_coefficients_it_was_retrieved_from():
     """Gaz et al. (2019) publish the identified coefficients.
 
@@ -150,7 +187,10 @@ def test_a_bundled_scara_carries_only_the_weight_of_quill_and_tool():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("kuka-iiwa", r"did you mean 'kuka-iiwa7-r800'.*bundled are franka-panda, kuka"),
+        (
+            "kuka-iiwa",
+            r"did you mean 'kuka-iiwa7-r800'.*bundled are franka-panda, g1-arms, go2",
+        ),
         ("PUMA560", r"did you mean 'puma-560'"),
         ("nonsense-xyz-123", r"no bundled robot and no file 'nonsense-xyz-123'; bundled are"),
         ("my/robot.urdf", r"there is no file my/robot\.urdf"),

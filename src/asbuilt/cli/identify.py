@@ -26,6 +26,7 @@ from asbuilt.cli.arguments.options import (
     recordings_of,
     refuse_idle,
     robot_and_recordings,
+    writable_file,
 )
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
@@ -110,6 +111,15 @@ def validate(
         str | None,
         typer.Option("--rollout", metavar="LIST", help=ROLLOUT["help"]),
     ] = None,
+    animation: Annotated[
+        Path | None,
+        typer.Option(
+            "--animation",
+            metavar="FILE",
+            help="measured and simulated motion of the longest rollout as .webp or .gif",
+            callback=writable_file,
+        ),
+    ] = None,
     require: Annotated[
         bool,
         typer.Option("--require", help="exit with status 1 if the model predicts worse than CAD"),
@@ -128,6 +138,8 @@ def validate(
     from asbuilt.workflow.simulation.rollout import roll_out_result, roll_out_robot
     from asbuilt.workflow.validation import validate as validate_result
     from asbuilt.workflow.validation import validate_robot
+    from asbuilt.writers.files import path_texts
+    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import (
@@ -137,6 +149,8 @@ def validate(
     )
 
     distinct_logs(log)
+    if rollout is None:
+        refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
     options = ValidationOptions(
         chain=filtering.chain() if any(filtering.given.values()) else None,
         rollout=() if rollout is None else horizons(rollout),
@@ -147,22 +161,27 @@ def validate(
             "--require compares an identified model with CAD; a robot as described is CAD",
             {"--require": require},
         )
-        if out is not None:
+        if out is not None and not options.rollout:
             raise UsageError(
                 "--out writes the predictions of a result; for a robot as described there is only"
-                " the table"
+                " the table, and a page of its rollouts (--rollout)"
             )
         model, (logged,) = robot_and_recordings(
             described_robot(result, fixed_base=reading.fixed_base), reading, log
         )
         errors = validate_robot(model, logged, options=options)
         simulated = roll_out_robot(model, logged, options.rollout, options=options)
+        files = write_rollouts(model, simulated, out, animation)
         answer(
             as_json,
-            lambda: with_rollouts(described_document(model, errors), simulated),
+            lambda: (
+                with_rollouts(described_document(model, errors), simulated)
+                | ({"files": path_texts(files)} if files else {})
+            ),
             lambda: (
                 described_torque_table(model, errors).as_text(full)
                 + rollout_text(model, simulated, full=full, cure_text=cure_text)
+                + (listed_files(files) if files else "")
             ),
         )
         return
@@ -174,6 +193,7 @@ def validate(
     validations = validate_result(identified, logged, options=options)
     simulated = roll_out_result(identified, logged, options.rollout, options=options)
     files = write_validations(out, identified, validations) if out is not None else {}
+    files |= write_rollouts(identified.model, simulated, out, animation)
     comparison = compare(identified, validation=validations)
     verdicts = [cad_verdict(validation) for validation in validations]
     answer(

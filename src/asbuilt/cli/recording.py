@@ -226,7 +226,7 @@ def simulate(
         typer.Option(
             "--preset",
             metavar="NAME",
-            help="robot and sensors: ideal (default), lab or factory",
+            help="robot and sensors: ideal (default), lab, factory or servo (no torque)",
         ),
     ] = None,
     settings: Annotated[
@@ -316,7 +316,7 @@ def simulate(
     )
 
     runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
-    kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory"))
+    kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
     model = robot_as_built(robot, fixed_base=fixed_base)
     carried = None if tool is None else tool_from_text(tool)
     if at is not None and carried is None:
@@ -340,7 +340,7 @@ def simulate(
         raise UsageError("--start is for --free; a motion starts where its file says")
     if motion is not None and duration is not None:
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
-    moved = _motion(model, motion, duration, seed)
+    moved = _motion(model, motion, duration, seed, fast=kind == "servo")
     virtual = VirtualRobot.preset(kind, model, seed, tool=carried, at=place, engine=runs_on)
     virtual = with_settings(virtual.logging(rate), settings or ())
     with progress_bar() as report:
@@ -353,7 +353,13 @@ def simulate(
     )
 
 
-def _motion(model: RobotModel, motion: Path | None, duration: float | None, seed: int) -> Motion:
+FAST = 1.0
+"""Highest frequency of the random motion of servos, whose links are light [Hz]."""
+
+
+def _motion(
+    model: RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
+) -> Motion:
     """Return the motion of a file, or a random one."""
     from asbuilt.excitation.motions.motion_csv import read_motion
     from asbuilt.excitation.motions.random_motion import random_fourier
@@ -361,7 +367,8 @@ def _motion(model: RobotModel, motion: Path | None, duration: float | None, seed
     if motion is not None:
         return read_motion(motion, model)
     seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
-    return random_fourier(model, rng=seed, duration=seconds)
+    harmonics = max(5, round(FAST * seconds)) if fast else 5
+    return random_fourier(model, rng=seed, duration=seconds, n_harmonics=harmonics)
 
 
 def _simulate_free(

@@ -82,10 +82,10 @@ class LinkInertia:
 
     def __repr__(self) -> str:
         com, moments = (
-            "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
+            "[" + ", ".join(f"{value:.3g}" for value in values) + "]"
             for values in (self.com, self.principal_moments)
         )
-        return f"LinkInertia(mass={self.mass:.4g}, com={com}, principal_moments={moments})"
+        return f"LinkInertia(mass={self.mass:.4g}, com={com}, moments={moments})"
 
     @property
     def mass(self) -> float:

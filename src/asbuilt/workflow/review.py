@@ -88,9 +88,11 @@ def review(
     model, (logged,) = fitted_recordings(model, (recordings,))
     study = identify(model, logged, options=options, progress=progress)
     result = study.result
+    unlimited = result.servo is not None and not np.any(np.isfinite(result.servo.torque_limit))
     return review_result(
         result,
         peaks=None if result.servo is None else _peaks(logged, result.servo),
+        motions=study.training if unlimited else (),
         tolerance=tolerance,
         findings=study.findings,
     )

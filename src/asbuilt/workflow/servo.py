@@ -27,6 +27,9 @@ from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, settled_rule
 
+EXCEPTION = 1.0 / 3.0
+"""Share of the time up to which motion without explanation is an exception, such as contact; more
+of it is how the robot moves: own choice."""
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
 
@@ -67,6 +70,9 @@ def settle_servo(
         shared=options.same_servos,
         holdout=settled_rule(recordings, options.holdout),
     )
+    seconds = sum(block.stop - block.start for block in found.unexplained)
+    if seconds > EXCEPTION * sum(float(np.ptp(item.t)) for item in heads):
+        found = replace(found, unexplained=())
     return (
         [with_servo(item, found.servo) for item in recordings],
         [with_servo(item, found.servo) for item in validation],

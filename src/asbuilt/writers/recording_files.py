@@ -27,7 +27,7 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     """Write a recording as CSV or Parquet, by suffix.
 
     The columns are `t`, then `q_NAME`, `qd_NAME` and `qdd_NAME` if logged, and `tau_NAME` of every
-    joint.
+    joint, or `command_NAME` if the torque was computed from the command of a servo.
 
     Raises
     ------
@@ -42,11 +42,12 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
             available=(".csv", ".parquet"),
         )
     columns: dict[str, Any] = {"t": recording.t}
+    command = recording.command if recording.torque_source == "command" else None
     for symbol, values in (
         ("q", recording.q),
         ("qd", recording.qd),
         ("qdd", recording.qdd),
-        ("tau", recording.tau),
+        ("tau" if command is None else "command", recording.tau if command is None else command),
     ):
         if values is not None:
             columns |= {
@@ -106,7 +107,18 @@ def _sheet_text(recording: Recording, log: str) -> str:
             "# Currents times the nominal torque constant [N m]; gains = [...] holds corrections of"
             " it, from a payload of known mass.\n"
         )
-    return head + tomli_w.dumps({"torque_source": recording.torque_source})
+    sheet: dict[str, Any] = {"torque_source": recording.torque_source}
+    servo = recording.servo if recording.torque_source == "command" else None
+    if servo is not None:
+        sheet |= {"kp": _short(servo.kp), "kd": _short(servo.kd)}
+        if np.all(np.isfinite(servo.torque_limit)):
+            sheet["torque_limit"] = _short(servo.torque_limit)
+    return head + tomli_w.dumps(sheet)
+
+
+def _short(values: tuple[float, ...]) -> float | list[float]:
+    """Return one number where all are alike."""
+    return values[0] if len(set(values)) == 1 else list(values)
 
 
 def truth_document(simulated: SimulatedRecording) -> dict[str, Any]:

@@ -34,6 +34,10 @@ VALUES = {
     "behind": "0.2",
     "feedforward": "none",
     "controller.rate": "2000",
+    "servo.rate": "400",
+    "kp": "200,100",
+    "kd": "3",
+    "delay": "0.02",
     "logger.rate": "200",
     "encoder_counts": "4096,1000",
     "clock_jitter": "1e-4",
@@ -46,9 +50,12 @@ VALUES = {
 OTHERWISE = "0.3"
 
 
-def logged(*settings: str) -> Recording:
+OF_SERVOS = ("kp", "kd", "delay", "servo.rate")
+
+
+def logged(*settings: str, preset: str = "ideal") -> Recording:
     model = bundled_robot("two-link")
-    robot = with_settings(VirtualRobot.preset("ideal", model), settings)
+    robot = with_settings(VirtualRobot.preset(preset, model, rng=1), settings)
     return robot.record(random_fourier(model, 1, duration=1.0), rng=1).recording
 
 
@@ -62,8 +69,10 @@ def same(a: Recording, b: Recording) -> bool:
 
 @pytest.mark.parametrize("name", setting_names())
 def test_every_setting_changes_the_log(name: str) -> None:
-    needed = NEEDED.get(name, ())
-    assert not same(logged(*needed), logged(*needed, f"{name}={VALUES.get(name, OTHERWISE)}"))
+    needed, preset = NEEDED.get(name, ()), "servo" if name in OF_SERVOS else "ideal"
+    plain = logged(*needed, preset=preset)
+    changed = logged(*needed, f"{name}={VALUES.get(name, OTHERWISE)}", preset=preset)
+    assert not same(plain, changed)
 
 
 def test_settings_are_the_fields_they_name() -> None:

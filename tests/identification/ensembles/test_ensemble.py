@@ -1,5 +1,8 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import t as student
 from tests.identification.ensembles.example_results import servo_result, two_link_result
 
 from asbuilt.description.inertia import pseudo_inertias
@@ -7,6 +10,7 @@ from asbuilt.errors import UsageError
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.ensembles.consistent_draws import FAITHFUL, consistent_draws
 from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
+from asbuilt.identification.errors.block_scatter import BlockScatter, mean_degrees, widening
 from asbuilt.identification.result.result import IdentificationResult
 
 NORMAL_95 = 1.644854
@@ -100,3 +104,22 @@ def test_a_shared_stiffness_scales_the_whole_robot() -> None:
 def test_no_robots_are_refused(result: IdentificationResult) -> None:
     with pytest.raises(UsageError, match="1 to 100000 robots, got 0"):
         draw_ensemble(result, 0)
+
+
+def test_few_time_blocks_give_students_distribution(result: IdentificationResult) -> None:
+    """Quantiles of the draws against those of Student's distribution, by SciPy."""
+    p, freedom = result.base.n_base, 6.0
+    moves = np.random.default_rng(0).normal(size=(12, p))
+    scatter = BlockScatter(moves, np.full(p, freedom), 0.0)
+    nu = mean_degrees(scatter.degrees_of_freedom)
+    assert 4.0 < nu < 7.0
+    drawn = draw_ensemble(replace(result, scatter=scatter), 4000, rng=1)
+    free = draw_ensemble(result, 4000, rng=1)
+    errors = result.std_errors / widening(np.array([nu]))
+    sigmas, normal = (
+        (each.parameters @ result.base.regrouping.T - result.estimates) / errors
+        for each in (drawn, free)
+    )
+    found = np.quantile(sigmas, [0.05, 0.95], axis=0)
+    assert np.allclose(found, [[-student.ppf(0.95, nu)], [student.ppf(0.95, nu)]], atol=0.15)
+    assert np.quantile(np.abs(sigmas), 0.99) > np.quantile(np.abs(normal), 0.99)

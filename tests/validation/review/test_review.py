@@ -47,8 +47,14 @@ def described(tmp_path_factory, **changed):
 @pytest.fixture(scope="module")
 def recording():
     """A simulation of the true servo arm by MuJoCo."""
+    return recorded(9.0)
+
+
+def recorded(limit):
+    """Record the servo arm with a torque limit."""
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(ROBOT.format(**TRUTH))
+    model.actuator_forcerange[:] = [-limit, limit]
     model.geom_contype[:] = 0
     model.dof_solref[:], model.dof_solimp[:] = [0.004, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
     data, per, n = mujoco.MjData(model), round(1.0 / RATE / STEP), 4000
@@ -114,13 +120,62 @@ def test_unknown_gains_of_the_servo(recording, tmp_path_factory):
         stiffness = found.of("kp", joint)
         assert stiffness.verdict == "contradicted"
         assert abs(stiffness.estimate - 15.0) < 4.0 * stiffness.std_error
-        assert found.of("kv", joint).alias_of == (f"damping of {joint}",)
-        assert f"kv of {joint}" in found.of("damping", joint).alias_of
+        with pytest.raises(KeyError):
+            found.of("kv", joint)
         assert f"kp of {joint}" in found.of("armature", joint).alias_of
         assert "largest torque" in found.of("forcerange", joint).note
-    together = found.of("kv", "lift")
-    assert together.verdict == "contradicted"
-    assert abs(together.estimate + 0.4 - 0.6) < 4.0 * together.std_error + 0.05
+    together = found.of("damping + kv", "lift")
+    assert (together.verdict, together.claimed) == ("contradicted", 2.4)
+    assert abs(together.estimate - 0.6) < 4.0 * together.std_error + 0.05
+
+
+@pytest.mark.parametrize(("limit", "contradicted"), [(9.0, True), (4.0, False)])
+def test_a_torque_limit_that_the_command_exceeds_is_judged(limit, contradicted, tmp_path_factory):
+    """Claimed is 4 N m; the true arm has 9 or 4 N m."""
+    claimed = described(tmp_path_factory)
+    joints = [
+        dataclasses.replace(joint, limits=dataclasses.replace(joint.limits, torque=4.0))
+        for joint in claimed.joints
+    ]
+    claimed = dataclasses.replace(claimed, joints=tuple(joints))
+    found = review(claimed, driven(recorded(limit), 15.0, 0.2))
+    claim = found.of("forcerange", "lift")
+    assert (claim.verdict == "contradicted") == contradicted
+    assert claim.estimate > 4.0
+    assert "where the command asks for" in claim.note
+
+
+def test_a_value_that_no_robot_has_contradicts_nothing(recording, tmp_path_factory):
+    """Torques with a negative armature: the log differs from the claim by many errors."""
+    model = described(tmp_path_factory)
+    motion = random_fourier(model, 3, duration=20.0, n_harmonics=12)
+    drive = DriveSet.parse("armature,viscous,coulomb")
+    values = np.tile([-0.2, 0.4, 0.05], 3)
+    log = simulate_recording(model, motion, drive=drive, drive_values=values, rng=1)
+    claim = review(model, log).of("armature", "elbow")
+    assert claim.estimate < -0.15
+    assert abs(claim.estimate - claim.claimed) > 10.0 * claim.std_error
+    assert (claim.verdict, claim.p_value) == ("undetermined", None)
+    assert "another effect" in claim.note
+
+
+def test_a_value_just_below_zero_is_judged_at_zero(recording, tmp_path_factory):
+    model = described(tmp_path_factory)
+    motion = random_fourier(model, 3, duration=20.0, n_harmonics=12)
+    drive = DriveSet.parse("armature,viscous,coulomb")
+    values = np.tile([0.0, 0.4, 0.05], 3)
+    log = simulate_recording(model, motion, drive=drive, drive_values=values, rng=1)
+    noisy = dataclasses.replace(
+        log,
+        qd=None,
+        qdd=None,
+        tau=log.tau + np.random.default_rng(2).normal(0, 0.02, log.tau.shape),
+    )
+    found = review(model, noisy)
+    for joint in ("pan", "lift", "elbow"):
+        claim = found.of("armature", joint)
+        assert claim.verdict == "contradicted", joint
+        assert (claim.note == "judged at zero") == (claim.estimate < 0.0)
 
 
 def test_armature_and_inertia_about_one_axis_are_aliases():

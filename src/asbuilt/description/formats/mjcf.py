@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import described_text, outermost_tag, parsed_xml
 from asbuilt.description.inertia import LinkInertia
@@ -98,6 +99,7 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
             f"{source}: no body has a hinge or slide joint, so there is nothing to identify"
         )
     tree.add_sites()
+    tree.notes.extend(tree.actuators.notes())
     sprung = [
         joint.name
         for index, joint in enumerate(tree.joints)
@@ -273,6 +275,11 @@ class _Tree:
     carrier: dict[int, int] = field(default_factory=lambda: {0: ROOT})
     pose: dict[int, Array] = field(default_factory=lambda: {0: np.eye(4)})
 
+    @property
+    def actuators(self) -> Actuators:
+        """The actuators."""
+        return Actuators(self.mujoco, self.model)
+
     def name(self, kind: int, index: int, fallback: str) -> str:
         return self.mujoco.mj_id2name(self.model, kind, index) or f"{fallback}_{index}"
 
@@ -359,19 +366,7 @@ class _Tree:
         torque = (
             float(np.abs(m.jnt_actfrcrange[index]).max()) if m.jnt_actfrclimited[index] else np.inf
         )
-        for actuator in range(m.nu):
-            drives = (
-                m.actuator_trntype[actuator] == self.mujoco.mjtTrn.mjTRN_JOINT
-                and m.actuator_trnid[actuator, 0] == index
-            )
-            if drives and m.actuator_forcelimited[actuator]:
-                torque = min(
-                    torque,
-                    float(
-                        np.abs(m.actuator_forcerange[actuator]).max()
-                        * abs(m.actuator_gear[actuator, 0])
-                    ),
-                )
+        torque = min(torque, self.actuators.torque_limit(index))
         return JointLimits(lower=lower, upper=upper, torque=torque)
 
     def drive(self, coordinate: int, index: int) -> DriveValues:
@@ -384,25 +379,8 @@ class _Tree:
             )
         )
         armature, viscous, coulomb = (value if value != 0.0 else None for value in values)
-        kp, kd = self.servo(index)
+        kp, kd = self.actuators.gains(index)
         return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb, kp=kp, kd=kd)
-
-    def servo(self, index: int) -> tuple[float | None, float | None]:
-        """Return the gains of the position actuator of a joint, on its side of the gear."""
-        m, kinds = self.model, self.mujoco
-        for actuator in range(m.nu):
-            gain, bias = m.actuator_gainprm[actuator], m.actuator_biasprm[actuator]
-            if (
-                m.actuator_trntype[actuator] == kinds.mjtTrn.mjTRN_JOINT
-                and m.actuator_trnid[actuator, 0] == index
-                and m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
-                and m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
-                and gain[0] > 0.0
-                and bias[1] == -gain[0]
-            ):
-                gear = float(m.actuator_gear[actuator, 0])
-                return float(gain[0]) * gear**2, float(-bias[2]) * gear**2
-        return None, None
 
     def placed(self, position: Array, quaternion: Array, what: str) -> Array:
         R = rotation_from_quaternion(quaternion)

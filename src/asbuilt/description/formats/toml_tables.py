@@ -25,6 +25,7 @@ from asbuilt.errors import DescriptionError
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(gt=0.0)]
+Gain = Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=LARGEST)]
 Vector = tuple[Finite, Finite, Finite]
 Length = Annotated[
     float | str,
@@ -189,7 +190,8 @@ class DriveTable(_Table):
     """What is known of a drive.
 
     Armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side,
-    the gear ratio, and further terms.
+    the gear ratio, the gains kp [N m/rad] and kd [N m s/rad] of a position servo, and further
+    terms.
 
     `terms` names terms of `asbuilt drives`, each with its parameters by symbol and its nonlinear
     parameters by name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
@@ -200,6 +202,8 @@ class DriveTable(_Table):
     coulomb: Finite | None = None
     offset: Finite | None = None
     gear_ratio: Finite | None = None
+    kp: Gain | None = None
+    kd: Gain | None = None
     terms: dict[str, dict[str, Finite]] = {}
 
     @model_validator(mode="after")
@@ -224,6 +228,8 @@ class DriveTable(_Table):
             coulomb=self.coulomb,
             offset=self.offset,
             gear_ratio=self.gear_ratio,
+            kp=self.kp,
+            kd=self.kd,
             terms=self.terms,
         )
 

@@ -173,6 +173,10 @@ class PositionController:
                 upper=self.rate / 20,
             )
 
+    def target(self, command: Trajectory, rate: float) -> Trajectory:
+        """Return what the controller follows: the command at its ticks."""
+        return command
+
     def gains(self, described: RobotModel, armature: Array, q: Array) -> tuple[Array, float]:
         """Return stiffness (N, n, n) at positions (N, n), and damping over stiffness [s]."""
         pole = 2.0 * np.pi * self.bandwidth

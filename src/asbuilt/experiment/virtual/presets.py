@@ -1,4 +1,4 @@
-"""Presets of virtual robots: ideal, in a laboratory, in a factory."""
+"""Presets of virtual robots: ideal, in a laboratory, in a factory, with position servos."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from asbuilt.experiment.virtual.bodies import (
 )
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
+from asbuilt.experiment.virtual.joint_servo import JointServo
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.findings import Cure
 
@@ -182,9 +183,44 @@ def _factory(model: RobotModel, rng: np.random.Generator) -> Parts:
     }
 
 
+def _servo(model: RobotModel, rng: np.random.Generator) -> Parts:
+    """Return a robot of position servos.
+
+    Where the description states no gains, those of a bandwidth of 4 Hz with half the damping of a
+    critically damped joint; where it states no drive value, that of `_drive_train`.
+    """
+    n = model.n_joints
+    _, inertia = torque_and_inertia(model, rng)
+    usual = _drive_train(model, rng)
+
+    def values(name: str, other: Array) -> Array:
+        stated = [getattr(joint.drive, name) for joint in model.joints]
+        return np.array([b if a is None else a for a, b in zip(stated, other, strict=True)])
+
+    spread = np.exp(0.25 * rng.normal(size=(3, n)))
+    armature, viscous, coulomb = (
+        values(name, usual.of(name, n)) * factor
+        for name, factor in zip(("armature", "viscous", "coulomb"), spread, strict=True)
+    )
+    pole = 2.0 * np.pi * 4.0
+    kp = values("kp", (inertia + armature) * pole**2)
+    stated = any(joint.drive.kp is not None for joint in model.joints)
+    kd = values("kd", np.zeros(n) if stated else kp / pole)
+    return {
+        "model": perturbed_links(model, 0.08, rng),
+        "described": model,
+        "train": DriveTrain(
+            armature=_numbers(armature), viscous=_numbers(viscous), coulomb=_numbers(coulomb)
+        ),
+        "sensors": SensorNoise(encoder_counts=_counts(model, 2**14)),
+        "logger": DataLogger(rate=200.0),
+        "controller": JointServo(kp=_numbers(kp), kd=_numbers(kd), delay=0.01),
+    }
+
+
 Preset = Callable[[RobotModel, np.random.Generator], Parts]
 PRESETS: Mapping[str, Mapping[str, Preset]] = {
-    "mujoco": {"ideal": _ideal, "lab": _lab, "factory": _factory},
+    "mujoco": {"ideal": _ideal, "lab": _lab, "factory": _factory, "servo": _servo},
     "inverse-dynamics": {"ideal": _exact, "lab": _typical},
 }
 """Presets of each engine by name."""

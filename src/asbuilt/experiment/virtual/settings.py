@@ -10,6 +10,7 @@ from typing import Any
 from asbuilt.errors import UsageError
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
+from asbuilt.experiment.virtual.joint_servo import JointServo
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Cure
@@ -17,9 +18,12 @@ from asbuilt.findings import Cure
 PARTS: Mapping[str, type] = {
     "train": DriveTrain,
     "controller": PositionController,
+    "servo": JointServo,
     "sensors": SensorNoise,
     "logger": DataLogger,
 }
+FOLLOWERS = ("controller", "servo")
+"""Parts of which a robot has one, as its controller."""
 OWN = ("torque", "behind")
 """Settings of the robot itself."""
 SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
@@ -74,10 +78,17 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
                 available=list(known),
             )
         part, field = known[name], name.rpartition(".")[2]
-        if robot.controller is None and part in ("", "train", "controller"):
+        if robot.controller is None and part in ("", "train", *FOLLOWERS):
             raise UsageError(
                 f"the setting {name!r} belongs to robots in MuJoCo; this one follows exactly",
                 cure=Cure("choose another engine", {"engine": "mujoco"}),
+                value=setting,
+            )
+        if part in FOLLOWERS and not isinstance(robot.controller, PARTS[part]):
+            raise UsageError(
+                f"the setting {name!r} belongs to a {part}, which the preset {robot.name!r} does"
+                " not have",
+                cure=Cure("choose the preset servo for a servo, another one for a controller"),
                 value=setting,
             )
         changes[part][field] = _value(
@@ -85,11 +96,12 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
         )
     if not any(changes.values()):
         return robot
-    parts = {
-        part: replace(getattr(robot, part), **changed)
-        for part, changed in changes.items()
-        if part and changed
-    }
+    parts: dict[str, Any] = {}
+    for part, changed in changes.items():
+        if part and changed:
+            place = "controller" if part in FOLLOWERS else part
+            old: Any = getattr(robot, place)
+            parts[place] = replace(old, **changed)
     return replace(robot, **parts, **changes[""])
 
 

@@ -48,7 +48,7 @@ def track(
     train: DriveTrain,
     command: Trajectory,
     feedforward: Array,
-    gains: tuple[Array, float],
+    gains: tuple[Array, Array | float],
     torque_limit: Array,
     *,
     substeps: int = 1,

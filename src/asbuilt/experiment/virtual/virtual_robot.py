@@ -18,10 +18,12 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory, read_only
+from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.bodies import tilted_base, with_body
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
+from asbuilt.experiment.virtual.joint_servo import JointServo
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.presets import FULL_DRIVE, Engine, preset_parts
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, SensorNoise, per_joint
@@ -82,7 +84,8 @@ class VirtualRobot:
         Its drives: a `DriveTrain` in MuJoCo, or `TermDrives`, any drive terms with their values,
         for a robot that follows exactly.
     controller
-        Position controller in MuJoCo; None for a robot that follows the motion exactly.
+        Position controller or servo in MuJoCo; None for a robot that follows the motion exactly.
+        A servo logs positions and commands, and no torque.
     sensors, logger
         What they do to motion and torque.
     torque
@@ -118,7 +121,7 @@ class VirtualRobot:
     model: RobotModel
     described: RobotModel | None = None
     train: DriveTrain | TermDrives = field(default_factory=DriveTrain)
-    controller: PositionController | None = field(default_factory=PositionController)
+    controller: PositionController | JointServo | None = field(default_factory=PositionController)
     sensors: SensorNoise = PERFECT_SENSORS
     logger: DataLogger = field(default_factory=DataLogger)
     torque: MeasuredTorque = "motor"
@@ -202,10 +205,14 @@ class VirtualRobot:
         that jitter by 50 us, 0.5 % of the samples lost; 250 Hz. Percentages are of the torque
         range.
 
+        `servo`: mass distributions 8 % off, armature and friction 25 % off the described ones;
+        position servos with the gains of the description, 10 ms late; positions of 2^14 counts and
+        commands at 200 Hz, and no torque.
+
         Parameters
         ----------
         name
-            `"ideal"`, `"lab"` or, in MuJoCo, `"factory"`.
+            `"ideal"`, `"lab"` or, in MuJoCo, `"factory"` or `"servo"`.
         model
             The description.
         rng
@@ -358,6 +365,11 @@ class VirtualRobot:
             notes=(note,),
             extra={} if exact else {"q_command": logged.q_command},
         )
+        if isinstance(self.controller, JointServo):
+            recording = driven_by_command(
+                replace(recording, tau=np.zeros(logged.q.shape), command=logged.q_command),
+                self.controller.law(model),
+            )
         names = parameter_names(model, self.drive)
         return SimulatedRecording(
             recording, self.truth, names, model, self.drive, settings=self.settings
@@ -381,6 +393,7 @@ class VirtualRobot:
         n = model.n_joints
         ticks = self.logger.rate * np.ceil(controller.rate / self.logger.rate - 1e-9)
         command = motion.sample(ticks)
+        target = controller.target(command, self.logger.rate)
         substeps = max(1, int(np.ceil(1.0 / (LONGEST_STEP * ticks) - 1e-9)))
         physics = Physics(
             model,
@@ -392,9 +405,9 @@ class VirtualRobot:
         moved = track(
             physics,
             train,
-            command,
-            controller.feedforward_torque(self._described, train, command),
-            controller.gains(self._described, train.of("armature", n), command.q),
+            target,
+            controller.feedforward_torque(self._described, train, target),
+            controller.gains(self._described, train.of("armature", n), target.q),
             np.array([joint.limits.torque for joint in model.joints]),
             substeps=substeps,
             progress=progress,
@@ -449,10 +462,12 @@ class VirtualRobot:
         sensed = self.torque == "sensor"
         torque = moved.rigid + self.behind * moved.friction if sensed else moved.motor
         motor = self.train.motor_position(moved.q, moved.motor)
+        servo = isinstance(self.controller, JointServo)
+        source = "no torque" if servo else f"torque from the {self.torque}"
         note = (
             f"virtual robot {self.name!r} on MuJoCo, {_seed_text(rng)}: {motion.parametrisation}"
-            f" motion of {motion.duration:g} s at {self.logger.rate:g} Hz, torque from the"
-            f" {self.torque}, largest tracking error {np.abs(moved.q - command.q).max():.2g}"
+            f" motion of {motion.duration:g} s at {self.logger.rate:g} Hz, {source}, largest"
+            f" tracking error {np.abs(moved.q - command.q).max():.2g}"
         )
         return Trajectory(moved.t, motor, moved.qd, moved.qdd), torque, command.q, note
 

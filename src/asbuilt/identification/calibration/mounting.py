@@ -82,12 +82,15 @@ class Mounting:
 
     @property
     def is_tilted(self) -> bool:
-        """Whether the tilt exceeds 4 standard errors and the accuracy of a level floor."""
-        z = (
-            float(self.tilt @ np.linalg.solve(self.covariance, self.tilt))
-            if np.all(np.diag(self.covariance) > 0)
-            else np.inf
-        )
+        """Whether the tilt exceeds 4 standard errors and the accuracy of a level floor.
+
+        Of a singular covariance, as few time blocks give it, only the directions with an error
+        count.
+        """
+        variances, directions = np.linalg.eigh(self.covariance)
+        known = variances > np.finfo(float).eps * variances[-1]
+        parts = (self.tilt @ directions[:, known]) ** 2 / variances[known]
+        z = float(np.sum(parts)) if known.any() else np.inf
         return self.angle > NOTICEABLE and z > SIGNIFICANT**2
 
     @property

@@ -21,6 +21,7 @@ from asbuilt.validation.review.claim import Claim, ClaimVerdict
 from asbuilt.validation.review.claimed_numbers import ClaimedNumber, claimed_numbers
 from asbuilt.validation.review.profile import Profile, profile_numbers
 from asbuilt.validation.review.servo_claims import (
+    TOGETHER,
     beside_servo,
     scale_errors,
     servo_claims,
@@ -29,6 +30,7 @@ from asbuilt.validation.review.servo_claims import (
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
+    from asbuilt.validation.prediction import Validation
 
 ORDER: tuple[ClaimVerdict, ...] = ("contradicted", "supported", "undetermined")
 PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
@@ -36,8 +38,16 @@ PLAUSIBLE = CadTolerance(0.3, 0.3, 0.3)
 RESOLUTION = 0.1
 """Difference, relative to its size, up to which a number is as claimed whatever its standard error:
 filters and delays of a log bias by several percent, and tuned numbers claim no more; own choice."""
+NOT_NEGATIVE = (
+    *("mass", "armature", "damping", "friction loss"),
+    *("inertia xx", "inertia yy", "inertia zz"),
+)
+"""Numbers that no robot has below zero: they are judged at the nearest possible value."""
 DOUBTFUL = 0.05
 """Probability by chance up to which a number is not supported, alone as it is."""
+IMPOSSIBLE = 3.0
+"""Standard errors below zero from which a number that cannot be negative is not judged; own
+choice."""
 DETERMINED = 0.5
 """Standard error of a supported number, relative to its size, at most."""
 
@@ -100,6 +110,7 @@ def review_result(
     *,
     described: RobotModel | None = None,
     peaks: Array | None = None,
+    motions: Sequence[Validation] = (),
     tolerance: CadTolerance = PLAUSIBLE,
     level: float = FALSE_DISCOVERY_RATE,
     findings: Sequence[Finding] = (),
@@ -114,6 +125,8 @@ def review_result(
         The robot with its claims; None: that of the result.
     peaks
         Largest torque that the servo of each joint was asked for (n,), for torque limits.
+    motions
+        Torques asked for and as built, which show torque limits.
     tolerance
         What is plausible for masses, centres and inertias while another number is judged.
     level
@@ -145,11 +158,11 @@ def review_result(
     profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [
-        _claim(result, numbers, profile, j, freedom)
+        _claim(result, numbers, profile, j, freedom, whole[j])
         for j, number in enumerate(numbers)
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
-    claims += servo_claims(result, model, claims, peaks)
+    claims += servo_claims(result, model, claims, peaks, motions)
     judged = beside_servo(result, _judged(claims, level))
     return Review(
         result.robot,
@@ -169,28 +182,36 @@ def _claim(
     profile: Profile,
     j: int,
     freedom: float,
+    whole: float,
 ) -> Claim:
-    """Return what is said of number j, not yet judged beside the others."""
+    """Return what is said of number j, not yet judged beside the others.
+
+    `whole` is the claim with that of a servo which acts alike.
+    """
     number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
     known = bool(np.isfinite(change) and np.isfinite(error))
     claim = Claim(
-        number.what,
+        number.what if whole == number.claimed else TOGETHER,
         number.joint,
         number.unit,
-        number.claimed,
-        number.claimed + change if known else None,
+        whole,
+        whole + change if known else None,
         error if known else None,
         "supported" if known and error <= DETERMINED * number.size else "undetermined",
         tuple(numbers[k].label for k in profile.aliases[j] if numbers[k].what != "unknown"),
     )
     if not known:
         return claim
-    p = float(student_probability(np.array([change / error]), np.array([freedom]))[0])
+    possible = max(change, -whole) if number.what in NOT_NEGATIVE else change
+    if possible - change > IMPOSSIBLE * error:
+        return replace(claim, verdict="undetermined", note="impossible: another effect acts here")
+    p = float(student_probability(np.array([possible / error]), np.array([freedom]))[0])
     return replace(
         claim,
         p_value=p,
-        torque=_torque(result, number.column * change),
-        alike=abs(change) <= RESOLUTION * number.size,
+        torque=_torque(result, number.column * possible),
+        alike=abs(possible) <= RESOLUTION * number.size,
+        note="" if possible == change else "judged at zero",
     )
 
 

@@ -12,14 +12,25 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
 from asbuilt.identification.errors.block_scatter import student_probability
-from asbuilt.validation.review.claim import Claim
+from asbuilt.validation.review.claim import Claim, ClaimVerdict
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
+    from asbuilt.validation.prediction import Validation
 
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
-SCALED = ("mass", "armature", "damping", "friction loss")
+TOGETHER = "damping + kv"
+"""Damping of a joint and that of its servo, where only their sum is judged."""
+BEYOND = 0.1
+"""Share of a torque limit by which the command must ask for more to show it; own choice."""
+FOLLOWED = 0.2
+"""Share of the torque beyond a limit that a motion without the limit may lack; own choice."""
+MOST = 0.2
+"""Largest share of samples beyond a torque limit: the fit must not rest on them; own choice."""
+FEWEST = 20
+"""Fewest samples that show a torque limit."""
+SCALED = ("mass", "armature", "damping", TOGETHER, "friction loss")
 """Numbers whose torque grows with the stiffness, and of whose aliases it is named."""
 
 
@@ -52,20 +63,23 @@ def servo_claims(
     model: RobotModel,
     claims: Sequence[Claim],
     peaks: Array | None,
+    motions: Sequence[Validation] = (),
 ) -> list[Claim]:
     """Return the claims of servos, not yet judged beside the others.
 
-    `claims` are those of drives, `peaks` (n,) the largest torques that the servos were asked for.
+    `claims` are those of drives, `peaks` (n,) the largest torques that the servos were asked for,
+    `motions` torques asked for ("measured") and those of the motion as built ("predicted").
     """
     found = []
-    damping = {claim.joint: claim for claim in claims if claim.what == "damping"}
+    together = {claim.joint for claim in claims if claim.what == TOGETHER}
     for k, joint in enumerate(model.joints):
         if joint.drive.kp is not None:
             found.append(_stiffness(result, k, joint.name, joint.drive.kp))
-        if joint.drive.kd:
-            found.append(_damping(result, k, joint.name, joint.drive.kd, damping))
+        if joint.drive.kd and joint.name not in together:
+            found.append(_damping(result, k, joint.name, joint.drive.kd))
         if np.isfinite(joint.limits.torque) and peaks is not None:
-            found.append(_limit(joint.name, joint.limits.torque, float(peaks[k])))
+            limit = _limit(joint.name, joint.limits.torque, float(peaks[k]))
+            found.append(_reached(limit, k, motions))
     return found
 
 
@@ -117,28 +131,14 @@ def _stiffness(result: IdentificationResult, k: int, joint: str, claimed: float)
     )
 
 
-def _damping(
-    result: IdentificationResult, k: int, joint: str, claimed: float, damping: dict[str, Claim]
-) -> Claim:
+def _damping(result: IdentificationResult, k: int, joint: str, claimed: float) -> Claim:
     claim = Claim("kv", joint, "N m s/rad", claimed, None, None, "undetermined")
-    errors, together = result.servo_errors, damping.get(joint)
+    errors = result.servo_errors
     if errors is None:
         return replace(claim, note="the torque of this recording is not that of the servo")
     if not errors.kd_unknown[k]:
         return replace(claim, note="given, not judged")
-    claim = replace(claim, alias_of=(f"damping of {joint}",))
-    if together is None or together.estimate is None:
-        return claim
-    return replace(
-        claim,
-        estimate=claimed + together.estimate - together.claimed,
-        std_error=together.std_error,
-        verdict=together.verdict,
-        torque=together.torque,
-        p_value=together.p_value,
-        alike=together.alike,
-        note="judged with the claimed damping: only their sum acts",
-    )
+    return replace(claim, alias_of=(f"damping of {joint}",))
 
 
 def _limit(joint: str, claimed: float, peak: float) -> Claim:
@@ -153,3 +153,33 @@ def _limit(joint: str, claimed: float, peak: float) -> Claim:
         "undetermined",
         note=f"largest torque that the command asks for: {peak:.3g} N m, {reached}",
     )
+
+
+def _reached(claim: Claim, k: int, motions: Sequence[Validation]) -> Claim:
+    """Return the claim of a torque limit, judged where the command asks for more than it.
+
+    The estimate is the mean torque of the motion there, its error that of single samples within the
+    limit. A motion that has the torque asked for contradicts the limit, one that has the torque of
+    the limit supports it.
+    """
+    if not motions:
+        return claim
+    asked = np.concatenate([each.measured[:, k] for each in motions])
+    moved = np.concatenate([each.predicted[:, k] for each in motions])
+    beyond = np.abs(asked) > (1.0 + BEYOND) * claim.claimed
+    within = np.abs(asked) <= claim.claimed
+    if np.count_nonzero(beyond) < FEWEST or np.mean(~within) > MOST:
+        return claim
+    error = float(np.sqrt(np.mean((asked - moved)[within] ** 2)))
+    reached = float(np.mean((moved * np.sign(asked))[beyond]))
+    wanted = float(np.mean(np.abs(asked[beyond])))
+    more, clear = reached - claim.claimed, 2.0 * error
+    follows = abs(wanted - reached) < FOLLOWED * (wanted - claim.claimed)
+    if follows and more > max(BEYOND * claim.claimed, clear):
+        verdict: ClaimVerdict = "contradicted"
+    elif abs(more) <= max(BEYOND * claim.claimed, error) and wanted - claim.claimed > clear:
+        verdict = "supported"
+    else:
+        verdict = "undetermined"
+    said = f"the motion has {reached:.3g} N m where the command asks for {wanted:.3g} N m"
+    return replace(claim, estimate=reached, std_error=error, verdict=verdict, note=said)

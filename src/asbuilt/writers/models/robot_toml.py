@@ -95,7 +95,7 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         lines.append(f"limits = {{{', '.join(limits)}}}")
     fields = [
         f"{name} = {_float(value)}"
-        for name in (*PLAIN_TERMS, "gear_ratio")
+        for name in (*PLAIN_TERMS, "gear_ratio", "kp", "kd")
         if (value := getattr(joint.drive, name)) is not None
     ]
     if joint.drive.terms:

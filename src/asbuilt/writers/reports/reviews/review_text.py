@@ -22,7 +22,7 @@ from asbuilt.validation.review.review import ORDER, RESOLUTION, Review
 
 MOST_CLAIMS = 24
 """Claims in a short text."""
-DRIVES = ("armature", "damping", "friction loss", "kp", "kv", "forcerange")
+DRIVES = ("armature", "damping", "damping + kv", "friction loss", "kp", "kv", "forcerange")
 
 
 def review_document(review: Review) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def review_table(review: Review) -> Table:
     """Return one row per claim, contradicted ones first; short: drives before bodies."""
     columns = (
         Column("verdict"),
-        Column("number"),
+        Column("number", width=13),
         Column("joint", width=22),
         Column("unit", detail=True),
         Column("claimed", align="decimal"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.writers.reports.page import table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
@@ -15,59 +17,93 @@ from asbuilt.writers.tables.rollout_tables import position_unit, rollout_table
 TEMPLATE = """\
 <div class="scroll">{{ table }}</div>
 <p class="quiet">{{ note }}</p>
-<div class="grid">{% for name, lines, lower, upper in joints %}
-<figure><figcaption>{{ name }}, {{ lower }} to {{ upper }} {{ unit }} over {{ seconds }} s\
-</figcaption><svg viewBox="0 0 600 160" role="img" aria-label="motion of {{ name }}">\
-{% for colour, width, points in lines %}<polyline fill="none" stroke="{{ colour }}"\
- stroke-width="{{ width }}" points="{{ points }}"/>{% endfor %}</svg></figure>
+<div class="grid">{% for name, lines, lower, upper, reach in joints %}
+<figure><figcaption>{{ name }}, {{ lower }} to {{ upper }} {{ unit }} over {{ seconds }} s;\
+ errors within {{ reach }}</figcaption>\
+<svg viewBox="0 0 600 250" role="img" aria-label="motion of {{ name }} and its errors">\
+{% for x in starts %}<line x1="{{ x }}" x2="{{ x }}" y1="0" y2="250" stroke="#8a8f98"\
+ stroke-width="0.8" stroke-dasharray="2 4"/>{% endfor %}\
+<line x1="0" x2="600" y1="210" y2="210" stroke="#8a8f98" stroke-width="0.8"/>\
+{% for colour, width, pieces in lines %}{% for points in pieces %}<polyline fill="none"\
+ stroke="{{ colour }}" stroke-width="{{ width }}" points="{{ points }}"/>{% endfor %}{% endfor %}\
+</svg></figure>
 {% endfor %}</div>
 """
-COLOURS = {"measured": "#8a8f98", "CAD": "#d98324", "as built": "#1f6feb"}
-POINTS = 1500
+COLOURS = {"measured": "#a4a9b1", "CAD": "#d98324", "as built": "#1f6feb"}
+POINTS = 600
 """Points of a line."""
+LONGEST = 12.0
+"""Longest part of a recording that is drawn [s]."""
 
 
 def _context(report: Report) -> dict[str, Any] | None:
     rollouts = report.study.rollouts
-    if not rollouts:
-        return None
-    model, shown = report.study.result.model, rollouts[-1]
-    first = shown.motions[0]
-    count = first.windows.n_windows * first.windows.n_samples
+    return rollout_fields(report.study.result.model, rollouts) if rollouts else None
+
+
+def rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, Any]:
+    """Return the fields of the template: errors, and the motion of the longest rollouts."""
+    shown = rollouts[-1]
+    first = shown.motions[0].windows
+    count = _count(shown)
     return {
         "table": table_markup(rollout_table(model, rollouts), "rollouts"),
         "note": (
             f"Windows of {shown.horizon:g} s, one after another, driven by the"
             f" {shown.driven_by}: measured (grey), simulated by CAD (orange) and as built (blue)."
-            " Each window starts in the measured state."
+            " Each window starts in the measured state (dotted lines). Errors are below the motion."
+            + (f" The first {count} of {first.n_windows}." if count < first.n_windows else "")
         ),
-        "joints": [_joint(model.joint_names[k], shown, k) for k in range(model.n_joints)],
+        "joints": [
+            _joint(joint.name, shown, k, "mrad" if joint.is_revolute else "mm")
+            for k, joint in enumerate(model.joints)
+        ],
         "unit": position_unit(model).removeprefix("m").replace(" mm", " m"),
-        "seconds": f"{count / first.windows.rate:.3g}",
+        "seconds": f"{count * first.horizon:.3g}",
+        "starts": [f"{600.0 * w / count:.1f}" for w in range(1, count)],
     }
 
 
-def _joint(name: str, rollout: Rollout, k: int) -> tuple[str, list[Any], str, str]:
-    """Return name, lines and range of a joint in the first recording."""
-    motion = rollout.motions[0]
+def _count(rollout: Rollout) -> int:
+    """Return how many windows of the first recording are drawn."""
+    windows = rollout.motions[0].windows
+    return max(1, min(windows.n_windows, int(LONGEST / windows.horizon)))
+
+
+def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str, str]:
+    """Return name, lines, range and largest error of a joint in the first recording."""
+    motion, count = rollout.motions[0], _count(rollout)
     paths = {"measured": motion.windows.q, "CAD": motion.cad, "as built": motion.as_built}
-    measured = motion.windows.q[..., k]
+    measured = motion.windows.q[:count, :, k]
     reach = 0.1 * float(np.ptp(measured)) or 1e-3
     lower, upper = float(measured.min()) - reach, float(measured.max()) + reach
+    there = {what: path[:count, :, k] for what, path in paths.items() if path is not None}
+    errors = {what: path - measured for what, path in there.items() if what != "measured"}
+    largest = max((float(np.nanmax(np.abs(x), initial=0.0)) for x in errors.values()), default=0.0)
+    bound = largest or 1e-9
     lines = [
-        (COLOURS[what], 2.5 if what == "measured" else 1.2, _points(path[..., k], lower, upper))
-        for what, path in paths.items()
-        if path is not None
+        (COLOURS[what], 3.5 if what == "measured" else 1.4, _pieces(path, lower, upper, 0.0, 160.0))
+        for what, path in there.items()
+    ] + [
+        (COLOURS[what], 1.6, _pieces(error, -bound, bound, 172.0, 248.0))
+        for what, error in errors.items()
     ]
-    return name, lines, f"{lower:.3g}", f"{upper:.3g}"
+    return name, lines, f"{lower:.3g}", f"{upper:.3g}", f"{1e3 * largest:.3g} {unit}"
 
 
-def _points(path: Array, lower: float, upper: float) -> str:
-    values = path.reshape(-1)
-    at = np.unique(np.linspace(0, len(values) - 1, min(len(values), POINTS)).astype(int))
-    x = 600.0 * at / max(len(values) - 1, 1)
-    y = 160.0 * (1.0 - np.clip((values[at] - lower) / (upper - lower), 0.0, 1.0))
-    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True) if np.isfinite(b))
+def _pieces(path: Array, lower: float, upper: float, top: float, bottom: float) -> list[str]:
+    """Return the points of each window (W, L) between two heights, as far as they are finite."""
+    count, length = path.shape
+    at = np.unique(np.linspace(0, length - 1, min(length, max(2, POINTS // count))).astype(int))
+    pieces = []
+    for w, values in enumerate(path):
+        x = 600.0 * (w + at / (length - 1)) / count
+        share = np.clip((values[at] - lower) / (upper - lower), 0.0, 1.0)
+        y = bottom - share * (bottom - top)
+        there = np.isfinite(y)
+        points = zip(x[there].tolist(), y[there].tolist(), strict=True)
+        pieces.append(" ".join(f"{a:.1f},{b:.1f}" for a, b in points))
+    return pieces
 
 
 sections.register("rollout", Section("Rollout", 25, TEMPLATE, _context))

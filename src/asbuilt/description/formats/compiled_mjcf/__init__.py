@@ -1,0 +1,1 @@
+"""What the model that MuJoCo compiles from MJCF says."""

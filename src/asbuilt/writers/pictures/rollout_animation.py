@@ -1,0 +1,242 @@
+"""Animation of a rollout: measured robot beside its simulations by CAD and as built."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image as Pillow
+from PIL import ImageDraw, ImageFont
+
+from asbuilt.arrays import Array, Image
+from asbuilt.description.appearance import link_solids
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.errors import UsageError
+from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
+from asbuilt.writers.tables.rollout_tables import position_unit
+
+FRAME_RATE = 12.5
+"""Frames per second [Hz]."""
+LONGEST = 6.0
+"""Longest part of a recording that is shown [s]."""
+VISIBLE = 0.12
+"""Error of the worse simulation as it is drawn [rad or m], root mean square over joints."""
+FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
+"""Factors by which errors are enlarged."""
+COLOURS = {"CAD": (217, 115, 26), "as built": (33, 102, 172)}
+TITLES = {"CAD": "before, by CAD", "as built": "after, as built"}
+DARK, QUIET, PALE = (40, 44, 52), (120, 126, 136), (226, 229, 234)
+STRIP, TITLE, MARGIN = 118, 46, 12
+"""Heights of the curves and the titles, and free border [pixels]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """Times (N,) [s], positions (N, n) and errors (N, n) by robot, and what enlarges the errors."""
+
+    t: Array
+    q: Array
+    errors: dict[str, Array]
+    factor: float
+
+    def size(self, name: str) -> Array:
+        """Return the root mean square error over the joints at each time, shape (N,)."""
+        return np.asarray(np.sqrt(np.mean(self.errors[name] ** 2, axis=1)))
+
+
+def write_rollout_animation(
+    path: str | os.PathLike[str],
+    model: RobotModel,
+    rollout: Rollout,
+    *,
+    recording: int = 0,
+    width: int = 780,
+) -> Path:
+    """Write a rollout as an animation (`.gif` or `.webp`) in real time.
+
+    One panel for each robot that was simulated: the measured motion as a solid robot, the simulated
+    one as lines whose distance to it is enlarged by the factor that is stated. Below, the error
+    over time. Every window starts in the measured state.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    model
+        The robot.
+    rollout
+        Its rollout.
+    recording
+        Which of its recordings, from 0.
+    width
+        Of the picture [pixels].
+
+    Raises
+    ------
+    UsageError
+        If the suffix is unknown, or there is no such recording or no robot was simulated.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".gif", ".webp"):
+        raise UsageError(f"an animation is written as .gif or .webp, not as {Path(path).name!r}")
+    if not 0 <= recording < len(rollout.motions):
+        raise UsageError(
+            f"the rollout has {len(rollout.motions)} recordings, and no {recording}",
+            value=recording,
+            upper=len(rollout.motions) - 1,
+        )
+    shown = _shown(rollout.motions[recording])
+    frames = [Pillow.fromarray(image) for image in _frames(model, shown, rollout, width)]
+    pause = round(1000 * float(shown.t[-1] - shown.t[0]) / max(len(shown.t) - 1, 1))
+    stream = io.BytesIO()
+    if suffix == ".gif":
+        frames = [each.quantize(128, dither=Pillow.Dither.NONE) for each in frames]
+    frames[0].save(
+        stream,
+        suffix[1:].upper(),
+        save_all=True,
+        append_images=frames[1:],
+        duration=pause,
+        loop=0,
+        quality=60,
+    )
+    return atomic_write(path, stream.getvalue())
+
+
+def _shown(motion: SimulatedMotion) -> _Shown:
+    """Return the frames of the first windows, one after another."""
+    cut = motion.windows
+    paths = {"CAD": motion.cad, "as built": motion.as_built}
+    given = {name: path for name, path in paths.items() if path is not None}
+    if not given:
+        raise UsageError(f"no robot of {cut.source} could be simulated, so there is no animation")
+    count = max(1, min(cut.n_windows, int(LONGEST / cut.horizon)))
+    every = max(1, round(cut.rate / FRAME_RATE))
+    t = (cut.starts[:count, None] + cut.times).ravel()[::every]
+    measured = cut.q[:count].reshape(len(cut.q[:count]) * cut.n_samples, -1)[::every]
+    errors = {
+        name: path[:count].reshape(-1, path.shape[2])[::every] - measured
+        for name, path in given.items()
+    }
+    worst = max(float(np.sqrt(np.nanmean(error**2))) for error in errors.values())
+    fitting = [each for each in FACTORS if each * worst <= VISIBLE]
+    return _Shown(t, measured, errors, fitting[-1] if fitting else 1.0)
+
+
+def _frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int) -> Iterator[Image]:
+    panel = (width - (len(shown.errors) + 1) * MARGIN) // len(shown.errors)
+    size = (panel, round(0.66 * panel))
+    view = MotionView.of(model, shown.t, shown.q)
+    view = replace(view, path=view.path[:1].repeat(2, axis=0))
+    camera = Camera.around(view, *size)
+    lines = {name: _lines(model, camera, shown, name) for name in shown.errors}
+    canvas = Pillow.new("RGB", (width, TITLE + size[1] + STRIP + 2 * MARGIN), "white")
+    unit = position_unit(model)
+    boxes = _titled(canvas, shown, rollout, size, unit)
+    curves = _curves(canvas, shown, TITLE + size[1] + MARGIN, width, unit)
+    for k, robot in enumerate(skeleton_frames(view, *size)):
+        frame = canvas.copy()
+        for name, left in boxes.items():
+            picture = Pillow.fromarray(robot).convert("L").convert("RGB")
+            _draw_simulated(ImageDraw.Draw(picture), lines[name][k], COLOURS[name], panel)
+            frame.paste(picture, (left, TITLE))
+        draw = ImageDraw.Draw(frame)
+        for name, points in curves.items():
+            known = [point for point in points[: k + 1] if np.isfinite(point[1])]
+            if len(known) > 1:
+                draw.line(known, fill=COLOURS[name], width=2)
+            x, y = points[k]
+            if np.isfinite(y):
+                draw.ellipse((x - 3, y - 3, x + 3, y + 3), fill=COLOURS[name])
+        yield np.asarray(frame)
+
+
+def _lines(model: RobotModel, camera: Camera, shown: _Shown, name: str) -> Array:
+    """Return the ends of the simulated robot's rods in the picture, shape (N, rods, 2, 2)."""
+    poses = link_poses(model, shown.q + shown.factor * shown.errors[name])
+    ends = []
+    for solid in link_solids(model):
+        if solid.kind != "rod" or solid.link == ROOT:
+            continue
+        pose = poses[:, solid.link]
+        points = [pose[:, :3, :3] @ end + pose[:, :3, 3] for end in (solid.start, solid.stop)]
+        ends.append(np.stack([camera.project(each)[0] for each in points], axis=1))
+    return np.stack(ends, axis=1)
+
+
+def _draw_simulated(
+    draw: ImageDraw.ImageDraw, rods: Array, colour: tuple[int, int, int], panel: int
+) -> None:
+    thick = max(2, round(panel / 110))
+    if not np.all(np.isfinite(rods)):
+        return
+    for start, stop in rods.tolist():
+        draw.line((*start, *stop), fill=colour, width=thick)
+        for x, y in (start, stop):
+            draw.ellipse((x - thick, y - thick, x + thick, y + thick), fill=colour)
+
+
+def _titled(
+    canvas: Pillow.Image, shown: _Shown, rollout: Rollout, size: tuple[int, int], unit: str
+) -> dict[str, int]:
+    """Write the titles of the panels; return the left edge of each."""
+    draw = ImageDraw.Draw(canvas)
+    enlarged = "" if shown.factor == 1.0 else f", errors drawn {shown.factor:g} times"
+    lefts = {}
+    for k, name in enumerate(shown.errors):
+        left = MARGIN + k * (size[0] + MARGIN)
+        total = {"CAD": rollout.cad, "as built": rollout.as_built}[name]
+        known = "" if total is None else f": {1e3 * total.rms_all:.3g} {unit}"
+        draw.text((left, 6), f"{TITLES[name]}{known}", fill=COLOURS[name], font=_font(15))
+        draw.text(
+            (left, 26), f"measured: grey, simulated: lines{enlarged}", fill=QUIET, font=_font(11)
+        )
+        lefts[name] = left
+    return lefts
+
+
+def _curves(
+    canvas: Pillow.Image, shown: _Shown, top: int, width: int, unit: str
+) -> dict[str, list[tuple[float, float]]]:
+    """Draw the axes of the errors; return their points in the picture."""
+    draw, font = ImageDraw.Draw(canvas), _font(11)
+    left, right, bottom = MARGIN + 34, width - MARGIN, top + STRIP - 22
+    sizes = {name: 1e3 * shown.size(name) for name in shown.errors}
+    most = _rounded_up(max(float(np.nanmax(each)) for each in sizes.values()))
+    for share in (0.0, 0.5, 1.0):
+        y = bottom - share * (bottom - top - 14)
+        draw.line((left, y, right, y), fill=PALE)
+        draw.text((left - 6, y), f"{share * most:g}", fill=QUIET, font=font, anchor="rm")
+    draw.text((left, top - 4), f"error of all joints [{unit}]", fill=DARK, font=font)
+    t = shown.t - shown.t[0]
+    for second in range(int(t[-1]) + 1):
+        x = left + second / t[-1] * (right - left)
+        draw.text((x, bottom + 5), f"{second} s", fill=QUIET, font=font, anchor="ma")
+    return {
+        name: list(
+            zip(
+                (left + t / t[-1] * (right - left)).tolist(),
+                (bottom - each / most * (bottom - top - 14)).tolist(),
+                strict=True,
+            )
+        )
+        for name, each in sizes.items()
+    }
+
+
+def _rounded_up(value: float) -> float:
+    """Return the next of 1, 2, 5, 10, ... times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
+    return float(power * next(x for x in (1.0, 2.0, 5.0, 10.0) if x * power >= value))
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)

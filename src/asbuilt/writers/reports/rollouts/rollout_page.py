@@ -1,0 +1,112 @@
+"""Page of rollouts: errors, and measured beside simulated motion joint by joint."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+
+from asbuilt.description.model import RobotModel
+from asbuilt.findings import Finding
+from asbuilt.tables import share
+from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
+from asbuilt.writers.reports.page import page, section_markup, table_markup
+from asbuilt.writers.reports.report_verdict import Card, Mood
+from asbuilt.writers.reports.sections.rollout import TEMPLATE, rollout_fields
+from asbuilt.writers.tables.rollout_tables import joint_table, position_unit
+
+
+def write_rollouts(
+    model: RobotModel, rollouts: Sequence[Rollout], folder: Path | None, animation: Path | None
+) -> dict[str, Path]:
+    """Write the animation of the longest rollouts, and their page into a folder; paths by kind."""
+    files: dict[str, Path] = {}
+    if rollouts and animation is not None:
+        files["animation"] = write_rollout_animation(animation, model, rollouts[-1])
+    if rollouts and folder is not None:
+        path = folder / "rollout.html"
+        files["rollout"] = write_rollout_page(path, model, rollouts, animation=animation)
+    return files
+
+
+def write_rollout_page(
+    path: str | Path,
+    model: RobotModel,
+    rollouts: Sequence[Rollout],
+    *,
+    animation: Path | None = None,
+) -> Path:
+    """Write the page of rollouts as a self-contained HTML file, with an animation if given."""
+    return atomic_write(path, rollout_html(model, rollouts, animation=animation))
+
+
+def rollout_html(
+    model: RobotModel, rollouts: Sequence[Rollout], *, animation: Path | None = None
+) -> str:
+    """Return the page of rollouts as text."""
+    longest = rollouts[-1]
+    logs = sorted({recording_name(source) for source, *_ in longest.by_motion})
+    moving = "" if animation is None else _address(animation)
+    return page(
+        "rollout.html.j2",
+        title=f"{model.name}: rollout",
+        heading=model.name,
+        subject=", ".join(logs),
+        subtitle="",
+        contents=[
+            ("verdict", "Verdict"),
+            *([("animation", "Animation")] if moving else []),
+            ("motion", "Motion"),
+            ("by-joint", "Joints"),
+        ],
+        cards=_cards(model, longest),
+        findings=[_sentence(each) for each in rollout_findings(rollouts)],
+        animation=moving,
+        motion=section_markup(TEMPLATE, rollout_fields(model, rollouts)),
+        joints=[
+            table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
+        ],
+    )
+
+
+def _cards(model: RobotModel, rollout: Rollout) -> list[Card]:
+    unit, horizon = position_unit(model), f"over {rollout.horizon:g} s"
+    better = (
+        rollout.cad is not None
+        and rollout.as_built is not None
+        and rollout.as_built.rms_all < rollout.cad.rms_all
+    )
+    cards = []
+    for name, errors in (("by CAD", rollout.cad), ("as built", rollout.as_built)):
+        if errors is not None:
+            mood: Mood = "neutral" if name == "by CAD" else "good" if better else "bad"
+            said = f"error of the simulation {name} {horizon}"
+            cards.append(Card(mood, _size(errors, unit), said))
+    if rollout.no_physics is not None:
+        said = f"error of the delayed command without physics {horizon}"
+        cards.append(Card("neutral", _size(rollout.no_physics, unit), said))
+    if rollout.floor is not None:
+        said = "between repetitions of a command"
+        cards.append(Card("neutral", _size(rollout.floor, unit), said))
+    if better and rollout.cad is not None and rollout.as_built is not None:
+        less = 1.0 - rollout.as_built.rms_all / rollout.cad.rms_all
+        cards.append(Card("good", share(less), "less error than CAD"))
+    return cards
+
+
+def _size(errors: RolloutErrors, unit: str) -> str:
+    return f"{1e3 * errors.rms_all:.3g} {unit}" if errors.diverged == 0 else "diverged"
+
+
+def _sentence(finding: Finding) -> str:
+    return f"{finding.message}. {finding.cure.text}" if finding.cure else finding.message
+
+
+def _address(path: Path) -> str:
+    """Return a file as the address of a picture that a page holds itself."""
+    kind = path.suffix.lower().removeprefix(".")
+    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"

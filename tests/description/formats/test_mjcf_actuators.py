@@ -1,0 +1,142 @@
+"""Classes, actuators and several robots of one file, against MuJoCo's own compiled model."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from asbuilt.arrays import Array
+from asbuilt.description.formats.mjcf import read_mjcf
+from asbuilt.dynamics.drives.position_servo import described_servo
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.identification.trajectories.drive_signal import DriveSignal
+from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
+from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.windows import Windows
+
+STEP = 1e-3
+SCENE = """
+<mujoco model="two arms">
+<compiler angle="degree" autolimits="true"/>
+<option timestep="0.001" integrator="implicitfast"><flag contact="disable"/></option>
+<default>
+  <joint damping="0.3" armature="0.02"/>
+  <default class="big"><joint axis="0 1 0" damping="0.8" frictionloss="0.2" range="-170 170"
+    solreffriction="0.002 1" solimpfriction="0.9999 0.9999 0.001"/>
+    <position kp="60" kv="3" forcerange="-15 15"/>
+    <default class="wrist"><joint armature="0.005" damping="0.1"/>
+      <position kp="20" kv="0.5" forcerange="-4 4"/></default></default>
+  <default class="slow"><motor gear="3" ctrlrange="-2 2"/></default>
+</default>
+<worldbody>
+<body name="left" pos="0 0.4 0" childclass="big">
+  <joint name="left 1" axis="0 0 1"/>
+  <geom type="capsule" size=".03" fromto="0 0 0 0 0 .2" mass="1"/>
+  <body name="left forearm" pos="0 0 .2"><joint name="left 2"/>
+    <geom type="box" size=".15 .02 .03" pos=".15 0 0" mass=".7"/>
+    <body name="left hand" pos=".3 0 0" euler="20 0 0"><joint name="left 3" class="wrist"/>
+      <geom type="sphere" size=".04" pos=".05 0 .01" mass=".3"/></body></body></body>
+<body name="right" pos="0 -0.4 0" euler="0 0 90">
+  <joint name="right 1" axis="1 0 0"/>
+  <geom type="capsule" size=".03" fromto="0 0 0 0 .2 .2" mass="2"/>
+  <body name="right forearm" pos="0 .2 .2">
+    <joint name="right 2" type="slide" axis="0 1 0" range="-1 1"/>
+    <geom type="sphere" size=".05" mass=".5"/></body></body>
+</worldbody>
+<actuator>
+  <position name="a" joint="left 1" class="big"/>
+  <position name="b" joint="left 2" class="big" kp="45" dampratio="0.7"/>
+  <position name="c" joint="left 3" class="wrist" gear="2"/>
+  <motor name="d" joint="right 1" class="slow"/>
+  <general name="e" joint="right 2" gainprm="300" biasprm="0 -300 -20" biastype="affine"/>
+</actuator>
+</mujoco>
+"""
+
+
+def compiled(text: str = SCENE) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(text)
+
+
+def test_torques_of_both_arms_are_mujocos() -> None:
+    model, scene = read_mjcf(SCENE), compiled()
+    assert model.joint_names == ("left 1", "left 2", "left 3", "right 1", "right 2")
+    assert [model.parents[k] for k in (0, 3)] == [-1, -1]
+    armature, viscous = (
+        np.array([getattr(joint.drive, name) for joint in model.joints])
+        for name in ("armature", "viscous")
+    )
+    scene.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(scene)
+    states = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 40, 5))
+    ours = inverse_dynamics(model, *states) + armature * states[2] + viscous * states[1]
+    for k, (q, qd, qdd) in enumerate(zip(*states, strict=True)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
+        mujoco.mj_inverse(scene, data)
+        np.testing.assert_allclose(data.qfrc_inverse, ours[k], rtol=0, atol=1e-11)
+
+
+def test_classes_reach_joints_and_actuators() -> None:
+    model, scene = read_mjcf(SCENE), compiled()
+    drives = {joint.name: joint.drive for joint in model.joints}
+    assert (drives["left 1"].armature, drives["left 1"].viscous) == (0.02, 0.8)
+    assert (drives["left 3"].armature, drives["left 3"].coulomb) == (0.005, 0.2)
+    assert (drives["right 1"].viscous, drives["right 1"].coulomb) == (0.3, None)
+    assert (drives["left 1"].kp, drives["left 1"].kd) == (60.0, 3.0)
+    assert (drives["left 3"].kp, drives["left 3"].kd) == (80.0, 2.0)
+    assert drives["left 2"].kp == 45.0
+    assert drives["left 2"].kd == -scene.actuator_biasprm[1, 2] > 1.0
+    assert (drives["right 2"].kp, drives["right 2"].kd) == (300.0, 20.0)
+    assert drives["right 1"].kp is None
+
+
+def test_torque_limits_are_what_mujoco_reaches() -> None:
+    model, scene = read_mjcf(SCENE), compiled()
+    data = mujoco.MjData(scene)
+    data.ctrl[:] = 1e3
+    mujoco.mj_forward(scene, data)
+    limits = np.array([joint.limits.torque for joint in model.joints])
+    np.testing.assert_allclose(data.qfrc_actuator[:4], limits[:4])
+    assert np.isinf(limits[4])
+
+
+def test_the_servo_moves_the_arm_as_mujocos_actuators_do() -> None:
+    text = SCENE.replace(
+        '<motor name="d" joint="right 1" class="slow"/>',
+        '<position name="d" joint="right 1" kp="80" kv="6"/>',
+    )
+    model, scene = read_mjcf(text), compiled(text)
+    servo = described_servo(model)
+    assert servo is not None
+    t = STEP * np.arange(401)
+    command = np.sin(7.0 * t[:, None] + np.arange(5)) * np.array([0.6, 0.5, 0.7, 0.4, 0.2])
+    start = np.array([0.2, -0.3, 0.5, 0.1, 0.05])
+    windows = Windows(
+        "made up", 0.4, 1.0 / STEP, np.zeros(1), np.zeros((1, 401, 5)), start[None],
+        np.zeros((1, 5)), DriveSignal("command", t, command),
+    )  # fmt: skip
+    (own,) = simulate_windows(robot_as_described(model, servo), windows)
+    (controls,) = windows.inputs()
+    data, found = mujoco.MjData(scene), list[Array]()
+    data.qpos[:] = start
+    found.append(data.qpos.copy())
+    gear = scene.actuator_gear[:, 0]
+    for control in controls:
+        data.ctrl[:] = control * gear
+        mujoco.mj_step(scene, data)
+        found.append(data.qpos.copy())
+    np.testing.assert_allclose(np.array(found), own, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "said"),
+    [
+        ('<velocity name="v" joint="right 1" kv="3"/>', "actuators v are left out"),
+        ('<position name="p" joint="right 1" kp="3" timeconst="0.1"/>', "actuators p are taken"),
+    ],
+)
+def test_actuators_that_a_model_does_not_hold_are_noted(actuator: str, said: str) -> None:
+    text = SCENE.replace('<motor name="d" joint="right 1" class="slow"/>', actuator)
+    assert any(said in note for note in read_mjcf(text).notes)
+    assert not any("actuators" in note for note in read_mjcf(SCENE).notes)
