@@ -153,3 +153,53 @@ def test_noise_of_positions_demands_no_low_cutoff_where_they_are_in_the_torque(r
     measured = dataclasses.replace(driven, torque_source="unknown")
     assert resolve_chain(SignalChain(), measured).cutoff < 7.0
     assert resolve_chain(SignalChain(), driven).cutoff >= 7.0
+
+
+def limited_recording(acceleration):
+    """Return a recording of the arm whose servo limits its goal, with fast commands."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(ROBOT)
+    model.geom_contype[:] = 0
+    data, per, n = mujoco.MjData(model), round(1.0 / RATE / STEP), 3000
+    t = np.arange(n) / RATE
+    sweep = 0.2 * np.sin(2.0 * np.pi * (0.2 * t + 0.05 * t**2))
+    u = np.stack([sweep, np.roll(sweep, 40), 0.8 * np.roll(sweep, 90)], axis=1)
+    servo = PositionServo(kp=KP, kd=(0.0,) * 3, goal_acceleration=(acceleration,) * 3)
+    fine = servo.goal(t, u)[1]
+    assert fine.shape == (n * per, 3)
+    q = np.empty((n, 3))
+    data.qpos[:] = u[0]
+    for k in range(n):
+        q[k] = data.qpos
+        for i in range(per):
+            data.ctrl[:] = fine[k * per + i]
+            mujoco.mj_step(model, data)
+    q += np.random.default_rng(5).normal(scale=2e-4, size=q.shape)
+    return Recording(
+        t=t, q=q, tau=np.zeros_like(q), command=u, joint_names=("pan", "lift", "elbow")
+    )
+
+
+def sought(recording):
+    servo = PositionServo(kp=KP, kd=(0.0,) * 3, goal_acceleration=(np.nan,) * 3)
+    return estimated(recording, servo)
+
+
+def test_a_limit_of_the_goal_is_found_and_counts():
+    recording = limited_recording(20.0)
+    found = sought(recording)
+    assert found.servo.goal_acceleration == pytest.approx((20.0,) * 3, rel=0.05)
+    assert found.errors.goal_sought == (True,) * 3
+    assert 0.0 < found.errors.goal_acceleration < 2.0
+    assert found.goals[0].acts[0].start > 5.0
+    ignored = estimated(recording, unknown(KP))
+    assert abs(found.servo.delay) < 2e-3 < abs(ignored.servo.delay)
+    assert found.of_recording(0) == found.servo
+
+
+def test_no_limit_of_the_goal_is_found_where_there_is_none(recording):
+    for each in (recording, limited_recording(np.inf)):
+        found = sought(each)
+        assert found.goals == (None,)
+        assert found.servo.goal_acceleration == (np.inf,) * 3
+        assert not found.servo.limits_goal
