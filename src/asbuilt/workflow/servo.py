@@ -20,7 +20,9 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
+from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import UNEXPLAINED, ServoEstimate, estimate_servo
 from asbuilt.tables import rounded
 from asbuilt.validation.comparison.comparison import recording_name
@@ -155,6 +157,21 @@ def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Sample
     except RecordingError:
         return None
     return left if left.n_filtered else None
+
+
+def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
+    """Return a fit whose errors have that of the delay of a servo."""
+    if found is None or found.slopes is None:
+        return fit
+    late = servo_delay_errors(
+        fit.information,
+        fit.estimate,
+        found.slopes,
+        found.servo.kp,
+        found.servo.delay or 0.0,
+        found.errors.delay,
+    )
+    return fit if late is None else replace(fit, delay=late)
 
 
 def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:

@@ -56,6 +56,7 @@ from asbuilt.workflow.servo import (
     servo_findings,
     servo_notes,
     settle_servo,
+    with_delay_errors,
 )
 from asbuilt.workflow.simulation.refinement import (
     Refined,
@@ -294,7 +295,7 @@ def _concluded(
         fitted_nonlinear=choice.fitted,
     )
     fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
-    refined = None
+    fit, refined = with_delay_errors(fit, servo), None
     if options.refine is not None:
         fit, servo, refined = refine_study(fit, parts, servo, options.rollout, report)
     report("predict", 0.0)

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from asbuilt.description.formats.mjcf import read_mjcf
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo, described_servo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.identify import fit_samples
+from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
@@ -203,3 +206,31 @@ def test_no_limit_of_the_goal_is_found_where_there_is_none(recording):
         assert found.goals == (None,)
         assert found.servo.goal_acceleration == (np.inf,) * 3
         assert not found.servo.limits_goal
+
+
+def test_parameters_follow_the_delay_of_the_servo_as_their_errors_say(recording):
+    driven = driven_by_command(recording, unknown(KP))
+    model, drive = read_mjcf(ROBOT), DriveSet.parse("armature,viscous,coulomb")
+    chain = resolve_chain(SignalChain(), driven)
+    base = find_base_parameters(model, drive)
+
+    def fitted(delay):
+        late = driven_by_command(recording, dataclasses.replace(unknown(KP), delay=delay))
+        return fit_samples(model, [prepare_samples(late, chain)], base=base, method="wls")
+
+    found = estimated(recording, unknown(KP))
+    fit = fitted(found.servo.delay)
+    added = servo_delay_errors(
+        fit.information, fit.estimate, found.slopes, KP, found.servo.delay, 1e-3
+    )
+    moved = 0.5 * (
+        fitted(found.servo.delay + 1e-3).estimate.beta
+        - fitted(found.servo.delay - 1e-3).estimate.beta
+    )
+    sizes = np.sqrt(np.diag(added.covariance))
+    drives = [j for j, name in enumerate(base.names) if name[:2] in ("Fv", "Ia")]
+    assert sizes[drives] == pytest.approx(np.abs(moved[drives]), rel=0.1, abs=1e-4)
+    assert np.max(sizes[drives]) > 0.005
+    shift = 1e-3 * added.shift[drives] / found.servo.delay
+    assert shift == pytest.approx(-moved[drives], rel=0.1, abs=1e-4)
+    assert servo_delay_errors(fit.information, fit.estimate, found.slopes, KP, 0.0, 0.0) is None

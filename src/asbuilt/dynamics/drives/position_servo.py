@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.codec import stored
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.goal_profile import goal_path
 from asbuilt.errors import UsageError
 
 LIMITS = ("torque_limit", "goal_acceleration", "goal_speed")
@@ -101,6 +100,8 @@ class PositionServo:
 
     def goal(self, t: ArrayLike, command: ArrayLike) -> tuple[Array, Array]:
         """Return the goal that follows commands (K, n) at times (K,), as `goal_path` does."""
+        from asbuilt.dynamics.drives.goal_profile import goal_path  # noqa: PLC0415 - light start
+
         limit = np.asarray(self.goal_acceleration)
         return goal_path(t, command, np.where(np.isnan(limit), np.inf, limit), self.goal_speed)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain as chain_of
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -98,8 +99,9 @@ def find_goal_limit(
         Returns the rows of the recording under a servo.
     """
     joints = np.flatnonzero(np.isnan(np.array(servo.goal_acceleration)))
-    tried = _visible_limits(recording, servo, chain, joints)
-    if not tried.size:
+    visible = _visible_limits(recording, servo, chain, joints)
+    first = next(visible, None)
+    if first is None:
         return None
     plain = rows(limited(servo, np.inf))
     usual = _usual(plain, joints)
@@ -111,13 +113,19 @@ def find_goal_limit(
             kept[limit] = _costs(rows(limited(servo, limit)), joints, usual)
         return kept[limit]
 
-    sums = [float(np.sum(costs(limit))) for limit in tried.tolist()]
-    best = int(np.argmin(sums))
-    if not _better(without - costs(float(tried[best])), plain, joints):
+    tried: list[float] = []
+    sums: list[float] = []
+    for limit in chain_of([first], visible):
+        tried.append(limit)
+        sums.append(float(np.sum(costs(limit) - without)))
+        if len(sums) > 1 and min(sums[-2:]) > 0.0:
+            break
+    best = tried[int(np.argmin(sums))]
+    if not _better(without - costs(best), plain, joints):
         return None
     found = minimize_scalar(
         lambda x: float(np.sum(costs(float(np.exp(x))))),
-        bounds=np.log(tried[best]) + np.log(RULES.ratio) * np.array([-1.0, 1.0]),
+        bounds=np.log(best) + np.log(RULES.ratio) * np.array([-1.0, 1.0]),
         method="bounded",
         options={"xatol": 5e-3},
     )
@@ -134,20 +142,19 @@ def find_goal_limit(
 
 def _visible_limits(
     recording: Recording, servo: PositionServo, chain: SignalChain, joints: Indices
-) -> Array:
-    """Return the limits in their range that change the goal beyond a delay."""
+) -> Iterator[float]:
+    """Yield the limits in their range that change the goal beyond a delay, fastest first."""
     if not joints.size or recording.command is None:
-        return np.empty(0)
+        return
     largest = float(np.max(np.abs(prepare_samples(recording, chain).qdd[:, joints]), initial=0.0))
     if not largest > 0.0:
-        return np.empty(0)
-    count = 1 + round(np.log(RULES.fastest / RULES.slowest) / np.log(RULES.ratio))
-    tried = RULES.slowest * largest * RULES.ratio ** np.arange(count)
+        return
     plain = replace(recording, servo=limited(servo, np.inf))
     held, rate = held_command(plain), command_rate(plain)
-    return tried[
-        [_seen(replace(plain, servo=limited(servo, a)), held, rate, joints) for a in tried]
-    ]
+    count = 1 + round(np.log(RULES.fastest / RULES.slowest) / np.log(RULES.ratio))
+    for limit in (RULES.slowest * largest * RULES.ratio ** np.arange(count)[::-1]).tolist():
+        if _seen(replace(plain, servo=limited(servo, limit)), held, rate, joints):
+            yield limit
 
 
 def _seen(recording: Recording, held: Array, rate: Array, joints: Indices) -> bool:

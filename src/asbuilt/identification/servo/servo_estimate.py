@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,8 +19,9 @@ from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.goal_limit import GoalLimit, find_goal_limit, limited
 from asbuilt.identification.servo.servo_delay import fit_delay
+from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows
+from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
 from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
 
 
@@ -43,13 +45,15 @@ class ServoEstimate:
     """Hold an identified servo with its errors, and the time blocks that it does not explain.
 
     `goals` are the limits of the acceleration of its goal that the recordings show, None for one
-    that shows none. The servo has a limit if all of them show one.
+    that shows none. The servo has a limit if all of them show one. `slopes` are how the torque
+    follows the delay.
     """
 
     servo: PositionServo
     errors: ServoErrors
     unexplained: tuple[TimeBlock, ...] = ()
     goals: tuple[GoalLimit | None, ...] = ()
+    slopes: DelaySlopes | None = None
 
     def of_recording(self, number: int) -> PositionServo:
         """Return the servo with the limit of its goal in one of the recordings."""
@@ -104,9 +108,12 @@ def estimate_servo(
     stated = first
 
     def goal_of(recording: Recording) -> GoalLimit | None:
+        plain = replace(recording, servo=limited(stated, np.inf))
+        slow = functools.cache(lambda: [slow_channels(plain, chain, late)])
+
         def rows(servo: PositionServo) -> ServoRows:
             driven = replace(recording, servo=servo)
-            return servo_rows(model, base, [driven], chain, late, holdout)
+            return servo_rows(model, base, [driven], chain, late, holdout, slow())
 
         return find_goal_limit(recording, stated, chain, rows)
 
@@ -153,6 +160,7 @@ def estimate_servo(
             if excess > UNEXPLAINED
         ),
         goals,
+        DelaySlopes.of(rows, base, (found.excess <= UNEXPLAINED).tolist()),
     )
 
 
