@@ -194,7 +194,7 @@ def test_a_limit_of_the_goal_is_found_and_counts():
     assert found.servo.goal_acceleration == pytest.approx((20.0,) * 3, rel=0.05)
     assert found.errors.goal_sought == (True,) * 3
     assert 0.0 < found.errors.goal_acceleration < 2.0
-    assert found.goals[0].acts[0].start > 5.0
+    assert np.mean([block.start > 5.0 for block in found.goals[0].acts]) > 0.9
     ignored = estimated(recording, unknown(KP))
     assert abs(found.servo.delay) < 2e-3 < abs(ignored.servo.delay)
     assert found.of_recording(0) == found.servo
