@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.defaults import usual_drive
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.position_servo import LIMITS, PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
@@ -20,7 +20,9 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
+from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import UNEXPLAINED, ServoEstimate, estimate_servo
 from asbuilt.tables import rounded
 from asbuilt.validation.comparison.comparison import recording_name
@@ -74,11 +76,20 @@ def settle_servo(
     if seconds > EXCEPTION * sum(float(np.ptp(item.t)) for item in heads):
         found = replace(found, unexplained=())
     return (
-        [with_servo(item, found.servo) for item in recordings],
+        [
+            with_servo(item, found.servo if isinstance(item, Samples) else found.of_recording(k))
+            for k, item in _numbered(recordings)
+        ],
         [with_servo(item, found.servo) for item in validation],
         found,
         replace(options, chain=replace(chain, delay=None)),
     )
+
+
+def _numbered(recordings: Sequence[Recorded]) -> list[tuple[int, Recorded]]:
+    """Return recordings with their place among those that are no samples."""
+    numbers = np.cumsum([not isinstance(item, Samples) for item in recordings]) - 1
+    return list(zip(numbers.tolist(), recordings, strict=True))
 
 
 def servo_delays(
@@ -107,9 +118,17 @@ def _stated_delay(chain: SignalChain) -> float | None:
 
 
 def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
-    """Return a recording with the torque of a servo that follows its command, if it has one."""
+    """Return a recording with the torque of a servo that follows its command, if it has one.
+
+    A limit of the goal that is stated for the recording holds there.
+    """
     if servo is None or isinstance(item, Samples):
         return item
+    stated = head_of(item).servo
+    if stated is not None:
+        own = np.array(stated.goal_acceleration)
+        kept = np.where(np.isnan(own), servo.goal_acceleration, own)
+        servo = replace(servo, goal_acceleration=tuple(kept.tolist()), goal_speed=stated.goal_speed)
     if isinstance(item, RecordingStream):
         return replace(item, servo=servo)
     return driven_by_command(item, servo) if item.command is not None else item
@@ -157,6 +176,21 @@ def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Sample
     return left if left.n_filtered else None
 
 
+def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
+    """Return a fit whose errors have that of the delay of a servo."""
+    if found is None or found.slopes is None:
+        return fit
+    late = servo_delay_errors(
+        fit.information,
+        fit.estimate,
+        found.slopes,
+        found.servo.kp,
+        found.servo.delay or 0.0,
+        found.errors.delay,
+    )
+    return fit if late is None else replace(fit, delay=late)
+
+
 def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:
     """Return what the torque of a command rests on, as a sentence."""
     if found is None:
@@ -167,9 +201,13 @@ def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ..
         for name, kp, error in zip(model.joint_names, servo.kp, errors.kp, strict=True)
     )
     late = f"{_shown(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
+    goal = ""
+    if servo.limits_goal:
+        limit = min(servo.goal_acceleration)
+        goal = f"; goal limited to {_shown(limit, errors.goal_acceleration)} rad/s^2"
     return (
         "Torque of a position servo: clip(kp (command(t - delay) - q) - kd qd), the command held"
-        f" until the next; kp [N m/rad] {gains}; delay {late}.",
+        f" until the next; kp [N m/rad] {gains}; delay {late}{goal}.",
     )
 
 
@@ -207,6 +245,7 @@ def servo_findings(
                 Cure("give the stiffness if it is known"),
             )
         )
+    findings += _goal_findings(found)
     if found.unexplained:
         findings.append(_unexplained(found))
     if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
@@ -220,6 +259,30 @@ def servo_findings(
             )
         )
     return tuple(findings)
+
+
+def _goal_findings(found: ServoEstimate) -> list[Finding]:
+    """Return what recordings show of a limit of the goal's acceleration."""
+    findings = []
+    for goal in found.goals:
+        if goal is None:
+            continue
+        first, seconds = goal.acts[0], sum(each.stop - each.start for each in goal.acts)
+        everywhere = all(each is not None for each in found.goals)
+        findings.append(
+            Finding(
+                "servo_goal_limited",
+                "info",
+                "The servo limits the acceleration of its goal to"
+                f" {_shown(goal.acceleration, goal.std_error)} rad/s^2 in"
+                f" {recording_name(first.source)} (seen in {seconds:.3g} s, first at"
+                f" {first.start:.1f} s); the command is passed through this limit"
+                + ("" if everywhere else " in this recording, as the others do not show it"),
+                Cure("give the limit if it is known; logs validated later need it stated"),
+                time=first.start,
+            )
+        )
+    return findings
 
 
 def _unexplained(found: ServoEstimate) -> Finding:
@@ -252,7 +315,7 @@ def _servo(item: Recorded) -> PositionServo | None:
 def _alike(one: PositionServo, other: PositionServo) -> bool:
     return all(
         np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
-        for name in ("kp", "kd", "torque_limit")
+        for name in ("kp", "kd", *LIMITS)
     )
 
 

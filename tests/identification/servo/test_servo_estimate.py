@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from asbuilt.description.formats.mjcf import read_mjcf
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo, described_servo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.identify import fit_samples
+from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
@@ -153,3 +156,81 @@ def test_noise_of_positions_demands_no_low_cutoff_where_they_are_in_the_torque(r
     measured = dataclasses.replace(driven, torque_source="unknown")
     assert resolve_chain(SignalChain(), measured).cutoff < 7.0
     assert resolve_chain(SignalChain(), driven).cutoff >= 7.0
+
+
+def limited_recording(acceleration):
+    """Return a recording of the arm whose servo limits its goal, with fast commands."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(ROBOT)
+    model.geom_contype[:] = 0
+    data, per, n = mujoco.MjData(model), round(1.0 / RATE / STEP), 3000
+    t = np.arange(n) / RATE
+    sweep = 0.2 * np.sin(2.0 * np.pi * (0.2 * t + 0.05 * t**2))
+    u = np.stack([sweep, np.roll(sweep, 40), 0.8 * np.roll(sweep, 90)], axis=1)
+    servo = PositionServo(kp=KP, kd=(0.0,) * 3, goal_acceleration=(acceleration,) * 3)
+    fine = servo.goal(t, u)[1]
+    assert fine.shape == (n * per, 3)
+    q = np.empty((n, 3))
+    data.qpos[:] = u[0]
+    for k in range(n):
+        q[k] = data.qpos
+        for i in range(per):
+            data.ctrl[:] = fine[k * per + i]
+            mujoco.mj_step(model, data)
+    q += np.random.default_rng(5).normal(scale=2e-4, size=q.shape)
+    return Recording(
+        t=t, q=q, tau=np.zeros_like(q), command=u, joint_names=("pan", "lift", "elbow")
+    )
+
+
+def sought(recording):
+    servo = PositionServo(kp=KP, kd=(0.0,) * 3, goal_acceleration=(np.nan,) * 3)
+    return estimated(recording, servo)
+
+
+def test_a_limit_of_the_goal_is_found_and_counts():
+    recording = limited_recording(20.0)
+    found = sought(recording)
+    assert found.servo.goal_acceleration == pytest.approx((20.0,) * 3, rel=0.05)
+    assert found.errors.goal_sought == (True,) * 3
+    assert 0.0 < found.errors.goal_acceleration < 2.0
+    assert np.mean([block.start > 5.0 for block in found.goals[0].acts]) > 0.9
+    ignored = estimated(recording, unknown(KP))
+    assert abs(found.servo.delay) < 2e-3 < abs(ignored.servo.delay)
+    assert found.of_recording(0) == found.servo
+
+
+def test_no_limit_of_the_goal_is_found_where_there_is_none(recording):
+    for each in (recording, limited_recording(np.inf)):
+        found = sought(each)
+        assert found.goals == (None,)
+        assert found.servo.goal_acceleration == (np.inf,) * 3
+        assert not found.servo.limits_goal
+
+
+def test_parameters_follow_the_delay_of_the_servo_as_their_errors_say(recording):
+    driven = driven_by_command(recording, unknown(KP))
+    model, drive = read_mjcf(ROBOT), DriveSet.parse("armature,viscous,coulomb")
+    chain = resolve_chain(SignalChain(), driven)
+    base = find_base_parameters(model, drive)
+
+    def fitted(delay):
+        late = driven_by_command(recording, dataclasses.replace(unknown(KP), delay=delay))
+        return fit_samples(model, [prepare_samples(late, chain)], base=base, method="wls")
+
+    found = estimated(recording, unknown(KP))
+    fit = fitted(found.servo.delay)
+    added = servo_delay_errors(
+        fit.information, fit.estimate, found.slopes, KP, found.servo.delay, 1e-3
+    )
+    moved = 0.5 * (
+        fitted(found.servo.delay + 1e-3).estimate.beta
+        - fitted(found.servo.delay - 1e-3).estimate.beta
+    )
+    sizes = np.sqrt(np.diag(added.covariance))
+    drives = [j for j, name in enumerate(base.names) if name[:2] in ("Fv", "Ia")]
+    assert sizes[drives] == pytest.approx(np.abs(moved[drives]), rel=0.1, abs=1e-4)
+    assert np.max(sizes[drives]) > 0.005
+    shift = 1e-3 * added.shift[drives] / found.servo.delay
+    assert shift == pytest.approx(-moved[drives], rel=0.1, abs=1e-4)
+    assert servo_delay_errors(fit.information, fit.estimate, found.slopes, KP, 0.0, 0.0) is None

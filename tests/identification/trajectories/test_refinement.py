@@ -77,3 +77,17 @@ def test_a_link_stays_physically_consistent(refined: RefinedFit) -> None:
 
 def test_the_result_says_that_it_was_refined(refined: RefinedFit) -> None:
     assert any("Refined by trajectories" in line for line in refined.fit.provenance)
+
+
+def test_an_unknown_stiffness_keeps_to_its_error_by_torques(study: tuple[Fit, Windows]) -> None:
+    fit, windows = study
+    high = replace(SERVO, kp=tuple(1.2 * kp for kp in SERVO.kp), delay=0.0)
+    moved = {
+        spread: refine_fit(fit, [windows], high, free_stiffness=True, stiffness_spread=spread).servo
+        for spread in (1.0, 1e-3)
+    }
+    free, held = moved[1.0], moved[1e-3]
+    assert free is not None
+    assert held is not None
+    assert free.kp[0] < 0.97 * high.kp[0]
+    assert held.kp[0] == pytest.approx(high.kp[0], rel=5e-3)

@@ -69,6 +69,34 @@ def test_the_truth_is_closer_than_a_wrong_description(windows: Windows) -> None:
     assert [each.code for each in rollout_findings([exchanged])] == ["rollout_worse_than_command"]
 
 
+def test_errors_by_recording_and_their_mean(windows: Windows) -> None:
+    truth = servo_arm()
+    wrong = truth.with_parameters(1.4 * truth.parameters)
+    robots = [robot_as_described(truth, SERVO), robot_as_described(wrong, SERVO)]
+    parts = [windows, replace(windows.some(slice(0, 4)), source="other")]
+    found = roll_out(truth, parts, [None, None], robots)
+    first, second = found.by_recording
+    assert (first.n_windows, second.n_windows) == (12, 4)
+    alone = roll_out(truth, parts[1:], [None], robots[1:])
+    assert alone.as_built is not None
+    assert second.as_built is not None
+    assert first.as_built is not None
+    assert second.as_built.rms_all == pytest.approx(alone.as_built.rms_all)
+    mean = found.as_dict()["mean"]
+    assert mean["as_built"] == pytest.approx(
+        0.5 * (first.as_built.rms_all + second.as_built.rms_all)
+    )
+    assert mean["cad"] is None
+    assert found.as_built is not None
+    assert found.as_built.rms_all < mean["as_built"]
+    assert second.no_physics is not None
+    closer = replace(second, no_physics=replace(second.no_physics, rms_all=0.0))
+    named = replace(found, by_recording=(first, closer), outlying=())
+    (finding,) = rollout_findings([named])
+    assert finding.code == "rollout_worse_than_command"
+    assert "other" in finding.message
+
+
 def test_repetitions_of_a_command_give_the_noise() -> None:
     rng = np.random.default_rng(0)
     t = np.arange(0.0, 8.0, 0.01)

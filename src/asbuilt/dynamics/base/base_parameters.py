@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -128,6 +129,12 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     >>> base.standard[0].name, base.standard[0].status
     ('Ixx1', 'unidentifiable')
     """
+    return _found(model, drive)
+
+
+@lru_cache(maxsize=16)
+def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
+    """Return the base parameters, remembered for the robots used last."""
     with one_blas_thread():
         found = structural_regrouping(model, drive)
         numeric = observation_rank(model, drive)

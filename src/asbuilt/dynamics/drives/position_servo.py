@@ -14,9 +14,12 @@ from asbuilt.codec import stored
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 
+LIMITS = ("torque_limit", "goal_acceleration", "goal_speed")
+"""Fields that are infinite where there is no limit."""
+
 
 def _limits(values: Sequence[float | None]) -> tuple[float, ...]:
-    """Return stored torque limits, infinite where None is stored."""
+    """Return stored limits, infinite where None is stored."""
     return tuple(np.inf if each is None else float(each) for each in values)
 
 
@@ -24,7 +27,8 @@ def _limits(values: Sequence[float | None]) -> tuple[float, ...]:
 class PositionServo:
     """Hold the gains of proportional-derivative position control, joint by joint.
 
-    The torque on the link is `clip(kp (command(t - delay) - q) - kd qd, -limit, limit)`.
+    The torque on the link is `clip(kp (goal(t - delay) - q) - kd qd, -limit, limit)`. The goal is
+    the command, or what `goal_path` makes of it if the servo limits the acceleration of its goal.
 
     Parameters
     ----------
@@ -36,11 +40,18 @@ class PositionServo:
         Largest magnitude of the torque [N m or N], shape (n,); infinite where there is none.
     delay
         Time by which the torque follows the command [s]; None if unknown.
+    goal_acceleration
+        Largest acceleration of the goal [rad/s^2 or m/s^2], shape (n,); infinite where there is no
+        limit, NaN where it is unknown whether there is one.
+    goal_speed
+        Largest speed of a goal with limited acceleration [rad/s or m/s], shape (n,); infinite where
+        there is none.
 
     Raises
     ------
     UsageError
-        If lengths differ, or a value is negative or, for the delay, not finite.
+        If lengths differ, or a value is negative or, for the delay, not finite, or a limit of the
+        goal is zero, or its speed is limited without an acceleration.
 
     Examples
     --------
@@ -53,11 +64,13 @@ class PositionServo:
     kd: tuple[float, ...]
     torque_limit: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     delay: float | None = None
+    goal_acceleration: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
+    goal_speed: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
 
     def __post_init__(self) -> None:
-        for name in ("kp", "kd", "torque_limit"):
+        for name in ("kp", "kd", *LIMITS):
             values = tuple(float(value) for value in getattr(self, name))
-            if name == "torque_limit" and not values:
+            if name in LIMITS and not values:
                 values = (np.inf,) * len(self.kp)
             if len(values) != len(self.kp):
                 raise UsageError(
@@ -67,7 +80,11 @@ class PositionServo:
                 )
             if any(value < 0.0 for value in values):
                 raise UsageError(f"{name} must not be negative, got {min(values):g}", lower=0.0)
+            if name.startswith("goal") and 0.0 in values:
+                raise UsageError(f"{name} must be positive: the goal would never move", lower=0.0)
             object.__setattr__(self, name, values)
+        if np.any(np.isfinite(self.goal_speed) & np.isinf(self.goal_acceleration)):
+            raise UsageError("a limit of the speed of the goal needs one of its acceleration")
         if self.delay is not None and not np.isfinite(self.delay):
             raise UsageError(f"the delay must be a finite number of seconds, got {self.delay}")
 
@@ -76,6 +93,18 @@ class PositionServo:
         """Whether every gain is known."""
         return bool(np.all(np.isfinite((*self.kp, *self.kd))))
 
+    @property
+    def limits_goal(self) -> bool:
+        """Whether the goal of any joint differs from its command."""
+        return bool(np.any(np.isfinite(self.goal_acceleration)))
+
+    def goal(self, t: ArrayLike, command: ArrayLike) -> tuple[Array, Array]:
+        """Return the goal that follows commands (K, n) at times (K,), as `goal_path` does."""
+        from asbuilt.dynamics.drives.goal_profile import goal_path  # noqa: PLC0415 - light start
+
+        limit = np.asarray(self.goal_acceleration)
+        return goal_path(t, command, np.where(np.isnan(limit), np.inf, limit), self.goal_speed)
+
     def reordered(self, order: Sequence[int]) -> Self:
         """Return the servo of the joints at these positions."""
         return replace(
@@ -83,6 +112,8 @@ class PositionServo:
             kp=tuple(self.kp[k] for k in order),
             kd=tuple(self.kd[k] for k in order),
             torque_limit=tuple(self.torque_limit[k] for k in order),
+            goal_acceleration=tuple(self.goal_acceleration[k] for k in order),
+            goal_speed=tuple(self.goal_speed[k] for k in order),
         )
 
     def torque(self, command: ArrayLike, q: ArrayLike, qd: ArrayLike) -> Array:

@@ -20,7 +20,8 @@ def held_command(recording: Recording, delay: float = 0.0) -> Array:
     """Return the command that acts at the times of the samples, shape (N, n).
 
     A command is held until the next. Below half the sampling rate that is a delay of half a period
-    T and the response `sinc(f T)`; `delay` [s] comes in addition.
+    T and the response `sinc(f T)`; `delay` [s] comes in addition. If the recording has a servo that
+    limits its goal, the goal takes the place of the command.
 
     Examples
     --------
@@ -48,6 +49,9 @@ def _acting(recording: Recording, delay: float, derivative: int) -> Array:
     if np.count_nonzero(rows) < 4:
         return out
     x, t = command[rows], t[rows]
+    if recording.servo is not None and recording.servo.limits_goal:
+        out[rows] = _of_goal(*recording.servo.goal(t, x), t, delay, derivative)
+        return out
     padded = np.concatenate([x[:1], x, x[-1:]])
     x = DROOP * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * DROOP) * x
     at = t - 0.5 * float(np.median(np.diff(t))) - delay
@@ -59,6 +63,31 @@ def _acting(recording: Recording, delay: float, derivative: int) -> Array:
     return out
 
 
+def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) -> Array:
+    """Return the goal, or its derivative, below half the sampling rate, shape (K, n).
+
+    The mean over a period T has the response `sinc(f T)` and nothing at the sampling rate; the
+    filter `[-w, 1 + 2 w, -w]` undoes the response.
+    """
+    period = float(np.median(np.diff(t)))
+    edges = np.append(fine, 2.0 * fine[-1] - fine[-2])
+    means = np.diff(edges)[:, None] * goal
+    sums = np.vstack([np.zeros(goal.shape[1]), np.cumsum(means, axis=0)])
+    late = t - delay
+    at = np.clip(late, t[0] + 0.5 * period, t[-1] - 0.5 * period)
+    after, before = (
+        np.stack([np.interp(at + half, edges, x) for x in sums.T], axis=1)
+        for half in (0.5 * period, -0.5 * period)
+    )
+    values = (after - before) / period
+    padded = np.concatenate([values[:1], values, values[-1:]])
+    values = (1.0 + 2.0 * DROOP) * values - DROOP * (padded[:-2] + padded[2:])
+    if derivative:
+        values = np.asarray(CubicSpline(t, values, axis=0)(t, derivative))
+        values[(late < t[0]) | (late > t[-1])] = 0.0
+    return np.asarray(values)
+
+
 def driven_by_command(recording: Recording, servo: PositionServo) -> Recording:
     """Return the recording with the torque of a servo that follows its command.
 
@@ -66,14 +95,13 @@ def driven_by_command(recording: Recording, servo: PositionServo) -> Recording:
     the torque is a control error until the gains are identified. A torque that was logged becomes
     the extra quantity `tau_logged`.
     """
-    known = PositionServo(
+    known = replace(
+        servo,
         kp=tuple(np.where(np.isfinite(servo.kp), servo.kp, 1.0)),
         kd=tuple(np.where(np.isfinite(servo.kd), servo.kd, 0.0)),
-        torque_limit=servo.torque_limit,
     )
-    tau = known.torque(
-        held_command(recording, servo.delay or 0.0), recording.q, logged_velocity(recording)
-    )
+    held = held_command(replace(recording, servo=servo), servo.delay or 0.0)
+    tau = known.torque(held, recording.q, logged_velocity(recording))
     extra = dict(recording.extra)
     if recording.servo is None and np.any(recording.tau):
         extra["tau_logged"] = recording.tau

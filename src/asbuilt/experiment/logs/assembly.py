@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.position_servo import LIMITS, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.formats.log_format import LogTable
@@ -132,6 +132,10 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     return recording
 
 
+UNLIMITED = ("torque_limit", "goal_speed")
+"""Limits of a servo that are taken to be absent unless they are stated."""
+
+
 def _from_zero(recording: Recording, zero: float | list[float]) -> Recording:
     """Return a recording with these positions (one, or one per joint) subtracted."""
     zeros = np.atleast_1d(np.asarray(zero, dtype=np.float64))
@@ -160,24 +164,31 @@ def stated_servo(
     """
     given = {
         name: getattr(sheet if getattr(options, name) is None else options, name)
-        for name in ("kp", "kd", "torque_limit")
+        for name in ("kp", "kd", *LIMITS)
     }
     commanded = sheet.columns.command is not None or any(
         each is not None for each in given.values()
     )
     if sheet.columns.torque is not None and not commanded:
         return None
-    kp, kd, limit = (
-        _per_joint(recording, name, each, np.inf if name == "torque_limit" else np.nan)
+    kp, kd, torque_limit, acceleration, speed = (
+        _per_joint(recording, name, each, np.inf if name in UNLIMITED else np.nan)
         for name, each in given.items()
     )
-    return PositionServo(kp=kp, kd=kd, torque_limit=limit)
+    return PositionServo(
+        kp=kp,
+        kd=kd,
+        torque_limit=torque_limit,
+        goal_acceleration=acceleration,
+        goal_speed=speed,
+    )
 
 
 def _per_joint(recording: Recording, name: str, given: Any, unknown: float) -> tuple[float, ...]:
-    """Return one number per joint; "auto", NaN and None are `unknown`."""
+    """Return one number per joint; "auto", NaN and None are `unknown`, "none" is infinite."""
     listed = given if isinstance(given, list | tuple) else [given]
-    numbers = [np.nan if each in (None, "auto") else float(each) for each in listed]
+    named = {None: np.nan, "auto": np.nan, "none": np.inf}
+    numbers = [named[each] if each in named else float(each) for each in listed]
     values = [unknown if np.isnan(each) else each for each in numbers]
     if len(values) not in (1, recording.n_joints):
         raise RecordingError(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.description.locking import locks_from_text
 from asbuilt.description.model import USUAL_GRAVITY
+from asbuilt.dynamics.drives.position_servo import LIMITS
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
@@ -28,10 +29,11 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def servo_numbers(text: str) -> tuple[float, ...]:
-    """Return numbers separated by commas, NaN for `auto`."""
+    """Return numbers separated by commas, NaN for `auto`, infinity for `none`."""
+    named = {"auto": math.nan, "none": math.inf}
     parts = [part.strip().lower() for part in text.split(",")]
-    _numbers(",".join("0" if part == "auto" else part for part in parts))
-    return tuple(math.nan if part == "auto" else float(part) for part in parts)
+    _numbers(",".join("0" if part in named else part for part in parts))
+    return tuple(named[part] if part in named else float(part) for part in parts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +64,10 @@ class ReadingOptions:
         unknown; they replace the sheet's, and make torques of commands.
     torque_limit
         Largest torque of the position servo [N m], one for all joints or one each; NaN: none.
+    goal_acceleration, goal_speed
+        Limits of the goal that the position servo derives from its command [rad/s^2, rad/s], one
+        for all joints or one each; infinite: none, NaN: unknown, so that a limit of the
+        acceleration is sought in the log, and none of the speed.
     fixed_base
         Whether a free joint of the robot is held at its pose. `load_robot` holds it.
 
@@ -153,6 +159,23 @@ class ReadingOptions:
             "parse": servo_numbers,
         },
     )
+    goal_acceleration: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "limit of the acceleration of the servo's goal [rad/s^2], one or each; none;"
+            " auto (default): sought in the log",
+            "metavar": "A1,A2,...",
+            "parse": servo_numbers,
+        },
+    )
+    goal_speed: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "limit of the speed of the servo's goal [rad/s], one or each",
+            "metavar": "V1,V2,...",
+            "parse": servo_numbers,
+        },
+    )
     fixed_base: bool = field(
         default=False,
         metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
@@ -171,10 +194,11 @@ class ReadingOptions:
                 value=self.torque_source,
                 available=TORQUE_SOURCES,
             )
-        for name in ("kp", "kd", "torque_limit"):
+        for name in ("kp", "kd", *LIMITS):
             if getattr(self, name) is not None:
                 values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64)).ravel()
-                if np.any(values < 0) or np.any(np.isinf(values)):
+                unlimited = np.isinf(values) & (name in LIMITS)
+                if np.any(values < 0) or np.any(np.isinf(values) & ~unlimited):
                     raise UsageError(
                         f"{name} must be finite and not negative, got {values.tolist()}", lower=0.0
                     )

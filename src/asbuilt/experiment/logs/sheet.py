@@ -50,6 +50,8 @@ def _without_values(value: object) -> object:
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 ServoNumber = Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto"]
 ServoNumbers = ServoNumber | list[ServoNumber] | None
+GoalNumber = ServoNumber | Literal["none"]
+GoalNumbers = GoalNumber | list[GoalNumber] | None
 ColumnList = Annotated[list[ColumnName], BeforeValidator(_spread)]
 
 
@@ -126,7 +128,8 @@ class RecordingSheet(_Part):
     `time_factor` multiplies the log's times, where its clock is wrong. `lock`
     names joints that are not identified, with their positions [rad or m] if these are known.
     `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
-    of the log. `kp`, `kd` and `torque_limit` are those of the position servo, "auto" if unknown.
+    of the log. `kp`, `kd` and the limits are those of the position servo, "auto" if unknown; of
+    the acceleration and the speed of its goal also "none".
     `date` is when the recording began, in UTC unless it names a time zone.
 
     Examples
@@ -148,6 +151,8 @@ class RecordingSheet(_Part):
     kp: ServoNumbers = None
     kd: ServoNumbers = None
     torque_limit: ServoNumbers = None
+    goal_acceleration: GoalNumbers = None
+    goal_speed: GoalNumbers = None
     columns: SheetColumns = SheetColumns()
     units: SheetUnits = SheetUnits()
     windows: list[SheetWindow] = Field(default_factory=list)

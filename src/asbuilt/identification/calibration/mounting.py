@@ -31,9 +31,14 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-SEARCHES = ((20e-3, 2e-3), (4e-3, 1e-4))
-"""First and last steps [rad] of two searches; the second has the joint weights of the first."""
+SEARCHES = (1e-4, 1e-7)
+"""Relative falls of the cost at which two searches end; the second has the joint weights of the
+first."""
 MOST_TRIES = 80
+STEP = 20e-3
+"""Unit of the tilt in the search [rad]."""
+SLOPE = 1e-5
+"""Step [rad] of the slopes of the cost with the parameters held, which is quadratic there."""
 DIFFERENCE = 4e-3
 """Step [rad] of the finite differences of the cost."""
 FARTHEST = 0.35
@@ -134,8 +139,9 @@ def find_mounting(
     """Find the direction of gravity in the root frame, near that of the description.
 
     Minimises `V(theta) = min_chi |w (tau - W_theta K chi)|^2 / 2` over physically consistent chi,
-    without which inconsistent inertias imitate a tilt. A simplex search on V (variable projection:
-    Golub & Pereyra, Inverse Problems 19, 2003), whose second derivatives jump at active bounds; K
+    without which inconsistent inertias imitate a tilt. A quasi-Newton search on V (variable
+    projection: Golub & Pereyra, Inverse Problems 19, 2003), whose slopes are those with the best
+    chi held and continuous where its second derivatives jump, at active bounds; K
     is the same for all generic directions. Load-dependent drive terms are left out. The covariance
     is `H^-1 (sum_b g_b g_b^T) H^-1` with the slopes g_b of the blocks' parts of V and the Hessian H
     of V, by finite differences.
@@ -182,29 +188,32 @@ def find_mounting(
         chi = problem.fit(seen.stacked(weights)).chi
         return _block_costs(seen, base, weights, chi)
 
-    def cost(tilt: Array, weights: Array) -> float:
-        return float(block_costs(tilt, weights).sum())
+    def cost(steps: Array, weights: Array) -> tuple[float, Array]:
+        """Return V and its gradient, which is that with the best parameters held."""
+        tilt = STEP * steps
+        seen = information(tilt)
+        chi = problem.fit(seen.stacked(weights)).chi
+        here = float(_block_costs(seen, base, weights, chi).sum())
+        moved = [
+            float(_block_costs(information(tilt + step), base, weights, chi).sum())
+            for step in SLOPE * np.eye(2)
+        ]
+        return here, STEP * (np.array(moved) - here) / SLOPE
 
     tilt = np.zeros(2)
     with one_blas_thread():
         fit, as_given = _settled(information(tilt), prior, bounds)
-        for first, last in SEARCHES:
+        for enough in SEARCHES:
             found = minimize(
                 cost,
-                tilt,
+                tilt / STEP,
                 args=(fit.weights,),
-                method="Nelder-Mead",
-                bounds=[(-FARTHEST, FARTHEST)] * 2,
-                options={
-                    "initial_simplex": (
-                        tilt + first * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-                    ),
-                    "xatol": last,
-                    "fatol": 1e-2,
-                    "maxfev": MOST_TRIES,
-                },
+                method="L-BFGS-B",
+                jac=True,
+                bounds=[(-FARTHEST / STEP, FARTHEST / STEP)] * 2,
+                options={"ftol": enough, "maxfun": MOST_TRIES},
             )
-            tilt = np.asarray(found.x)
+            tilt = STEP * np.asarray(found.x)
             seen = information(tilt)
             fit, rms = _settled(seen, prior, bounds)
         if np.max(np.abs(tilt)) > 0.99 * FARTHEST:

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 WORTH = 0.2
 """Least fraction by which a suspected spring lowers its joint's torque error."""
+PROMISING = 0.5 * WORTH
+"""Least such fraction, with the links as they are or free, from which a spring is tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +77,10 @@ def suspected_springs(
     if len(plain.errors) < FEWEST_BLOCKS:
         return ()
     described = next((term for term in drive.terms if term.key == Spring.key), None)
+    promising = _promising(model, samples, drive, plain, block_seconds)
     found = []
     for joint, place in enumerate(model.joints):
-        if described is not None and described.is_at(joint):
+        if not promising[joint] or (described is not None and described.is_at(joint)):
             continue
         sprung = {joint + 1} if described is None else {joint + 1, *(described.joints or ())}
         tried = _HeldOut.of(
@@ -109,6 +112,45 @@ def suspected_springs(
                 )
             )
     return tuple(spring for _, spring in sorted(found, key=lambda each: -each[0]))
+
+
+def _promising(
+    model: RobotModel,
+    samples: Sequence[Samples],
+    drive: DriveSet,
+    plain: _HeldOut,
+    block_seconds: float | None,
+) -> list[bool]:
+    """Return for each joint whether a spring could lower its torque error noticeably.
+
+    The residual of the fits without springs is projected on the spring, without what the joint's
+    other drive terms can do, and without what all its parameters can do if they are free.
+    """
+    base = find_base_parameters(model, drive.with_term(Spring()))
+    information = accumulate_stream(model, base, samples, block_seconds=block_seconds)
+    known = dict(zip(plain.names, plain.parameters.mean(axis=0), strict=True))
+    beta = np.array([known.get(name, 0.0) for name in base.names])
+    drives = base.columns >= 10 * model.n_joints
+    found = []
+    for k, (support, factor) in enumerate(
+        zip(information.support, information.joint_factors, strict=True)
+    ):
+        own = np.array([base.names[j] == f"{Spring.symbols[0]}{k + 1}" for j in support])
+        residual = factor[:, -1] - factor[:, :-1] @ beta[support]
+        energy = float(residual @ residual)
+        gains = [
+            _gain(factor[:, :-1][:, own], factor[:, :-1][:, others & ~own], residual)
+            for others in (drives[support], np.ones(support.size, dtype=np.bool_))
+        ]
+        found.append(not np.any(own) or max(gains) > PROMISING * energy)
+    return found
+
+
+def _gain(column: Array, others: Array, residual: Array) -> float:
+    """Return by how much a column (m, 1) without its part in others lowers the squares."""
+    x = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+    size = float(np.sum(x**2))
+    return float(np.sum(x[:, 0] @ residual)) ** 2 / size if size > 0.0 and x.size else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

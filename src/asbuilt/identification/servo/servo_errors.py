@@ -25,6 +25,11 @@ class ServoErrors:
         determines it.
     delay
         Standard error of the delay [s], 0 where it was given.
+    goal_acceleration
+        Standard error of the limit of the goal's acceleration [rad/s^2 or m/s^2], 0 where it was
+        given or not found in every recording.
+    goal_sought
+        Whether the limit of each joint was sought in the recordings.
     shared
         Whether one stiffness was fitted to all joints.
     scale
@@ -35,6 +40,8 @@ class ServoErrors:
 
     kp: tuple[float, ...] = field(default=(), metadata=stored(decode=_with_infinities))
     delay: float = 0.0
+    goal_acceleration: float = 0.0
+    goal_sought: tuple[bool, ...] = ()
     shared: bool = False
     scale: tuple[str, ...] = ()
     kd_unknown: tuple[bool, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,9 +17,11 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification.servo.goal_limit import GoalLimit, find_goal_limit, limited
 from asbuilt.identification.servo.servo_delay import fit_delay
+from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows
+from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
 from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
 
 
@@ -39,11 +42,29 @@ of the model: contact, or a limit of the servo. Residuals of friction stay below
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoEstimate:
-    """Hold an identified servo with its errors, and the time blocks that it does not explain."""
+    """Hold an identified servo with its errors, and the time blocks that it does not explain.
+
+    `goals` are the limits of the acceleration of its goal that the recordings show, None for one
+    that shows none. The servo has a limit if all of them show one. `slopes` are how the torque
+    follows the delay.
+    """
 
     servo: PositionServo
     errors: ServoErrors
     unexplained: tuple[TimeBlock, ...] = ()
+    goals: tuple[GoalLimit | None, ...] = ()
+    slopes: DelaySlopes | None = None
+
+    def of_recording(self, number: int) -> PositionServo:
+        """Return the servo with the limit of its goal in one of the recordings."""
+        goal = self.goals[number]
+        return limited(self._sought, np.inf if goal is None else goal.acceleration)
+
+    @property
+    def _sought(self) -> PositionServo:
+        """The servo, its limit NaN where it was sought."""
+        found = np.where(self.errors.goal_sought, np.nan, self.servo.goal_acceleration)
+        return replace(self.servo, goal_acceleration=tuple(found.tolist()))
 
 
 def estimate_servo(
@@ -84,6 +105,23 @@ def estimate_servo(
     unknown = np.isnan(np.array(first.kp))
     kd = np.nan_to_num(np.array(first.kd))
     late, error, scale = 0.0 if delay is None else delay, 0.0, None
+    stated = first
+
+    def goal_of(recording: Recording) -> GoalLimit | None:
+        plain = replace(recording, servo=limited(stated, np.inf))
+        slow = functools.cache(lambda: [slow_channels(plain, chain, late)])
+
+        def rows(servo: PositionServo) -> ServoRows:
+            driven = replace(recording, servo=servo)
+            return servo_rows(model, base, [driven], chain, late, holdout, slow())
+
+        return find_goal_limit(recording, stated, chain, rows)
+
+    goals = tuple(map(goal_of, recordings))
+    recordings = [
+        replace(each, servo=limited(first, np.inf if goal is None else goal.acceleration))
+        for each, goal in zip(recordings, goals, strict=True)
+    ]
     for _ in range(ITERATIONS.most):
         rows = servo_rows(model, base, recordings, chain, late, holdout)
         kp, scale = _gains(rows, base, links, first, unknown, shared)
@@ -96,10 +134,17 @@ def estimate_servo(
             break
     errors = np.zeros(model.n_joints) if scale is None else np.where(unknown, scale.std_errors, 0.0)
     return ServoEstimate(
-        replace(first, kp=tuple(kp.tolist()), kd=tuple(kd.tolist()), delay=late),
+        replace(
+            limited(first, _common(goals)),
+            kp=tuple(kp.tolist()),
+            kd=tuple(kd.tolist()),
+            delay=late,
+        ),
         ServoErrors(
             kp=tuple(errors.tolist()),
             delay=error,
+            goal_acceleration=_common_error(goals),
+            goal_sought=tuple(bool(each) for each in np.isnan(np.array(first.goal_acceleration))),
             shared=scale is not None and scale.shared,
             scale=tuple(
                 "given" if scale is None or not each else name
@@ -114,7 +159,26 @@ def estimate_servo(
             for block, excess in zip(rows.times, found.excess, strict=True)
             if excess > UNEXPLAINED
         ),
+        goals,
+        DelaySlopes.of(rows, base, (found.excess <= UNEXPLAINED).tolist()),
     )
+
+
+def _common(goals: Sequence[GoalLimit | None]) -> float:
+    """Return the weighted mean of the limits, infinite if a recording shows none."""
+    found = [goal for goal in goals if goal is not None]
+    if not found or len(found) < len(goals):
+        return np.inf
+    weight = np.array([1.0 / goal.std_error**2 for goal in found])
+    return float(np.average([goal.acceleration for goal in found], weights=weight))
+
+
+def _common_error(goals: Sequence[GoalLimit | None]) -> float:
+    """Return the standard error of the common limit, 0 if there is none."""
+    found = [goal for goal in goals if goal is not None]
+    if not found or len(found) < len(goals):
+        return 0.0
+    return float(np.sum([1.0 / goal.std_error**2 for goal in found]) ** -0.5)
 
 
 def _gains(

@@ -70,14 +70,20 @@ def servo_rows(
     chain: SignalChain,
     delay: float,
     holdout: str | None = None,
+    beside: Sequence[Sequence[Samples]] | None = None,
 ) -> ServoRows:
-    """Reduce recordings whose command acts after `delay` [s], without what is held out."""
+    """Reduce recordings whose command acts after `delay` [s], without what is held out.
+
+    `beside` are the samples of velocities and rates of the command, by recording, if they were
+    made before: `slow_channels`.
+    """
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=BESIDE)
     grams: list[list[Array]] = []
     times, counts = [], []
     with one_blas_thread():
-        for recording in recordings:
-            parts = _channels(recording, chain, delay)
+        for number, recording in enumerate(recordings):
+            slow = slow_channels(recording, chain, delay) if beside is None else beside[number]
+            parts = [*slow, _control_error(recording, chain, delay)]
             if holdout is not None:
                 parts = [hold_out(each, holdout)[0] for each in parts]
             for block in sample_blocks(model, [parts[-1]], BLOCK):
@@ -94,19 +100,24 @@ def servo_rows(
     return ServoRows(plan.support, joints, np.transpose(counts), tuple(times))
 
 
-def _channels(recording: Recording, chain: SignalChain, delay: float) -> list[Samples]:
-    """Return samples whose torques are velocity, rate of the command, and control error."""
+def slow_channels(recording: Recording, chain: SignalChain, delay: float) -> list[Samples]:
+    """Return samples whose torques are the velocity and the rate of the command."""
+    signals = (logged_velocity(recording), command_rate(recording, delay))
+    return [_with_signal(recording, chain, each) for each in signals]
+
+
+def _control_error(recording: Recording, chain: SignalChain, delay: float) -> Samples:
+    """Return samples whose torques are the control error."""
+    error = held_command(recording, delay) - recording.q
+    found = _with_signal(recording, chain, error)
+    return moving_faster(found, recording, chain.cutoff or np.inf)
+
+
+def _with_signal(recording: Recording, chain: SignalChain, signal: Array) -> Samples:
+    """Return samples with a signal (N, n) in place of the torque."""
     trace = TRACE * np.arange(recording.n_samples)[:, None]
-    signals = (
-        logged_velocity(recording),
-        command_rate(recording, delay),
-        held_command(recording, delay) - recording.q,
-    )
-    found = [
-        outside_saturation(prepare_samples(replace(recording, tau=each + trace), chain), recording)
-        for each in signals
-    ]
-    return [*found[:-1], moving_faster(found[-1], recording, chain.cutoff or np.inf)]
+    samples = prepare_samples(replace(recording, tau=signal + trace), chain)
+    return outside_saturation(samples, recording)
 
 
 def _beside(parts: Sequence[Samples]) -> Callable[[slice], list[Array]]:

@@ -28,11 +28,15 @@ class DriveSignal:
         Times [s], increasing, shape (K,).
     values
         Shape (K, n).
+    goal
+        What a servo that limits its goal makes of the command, as `goal_path` returns it; None if
+        the command is the goal.
     """
 
     kind: DrivenBy
     t: Array
     values: Array
+    goal: tuple[Array, Array] | None = None
 
     @classmethod
     def of(cls, recording: Recording, kind: DrivenBy) -> DriveSignal:
@@ -42,7 +46,14 @@ class DriveSignal:
             raise ValueError(f"{recording.source} has no {kind}")
         there = np.isfinite(recording.t) & np.all(np.isfinite(logged), axis=1)
         t, first = np.unique(recording.t[there], return_index=True)
-        return cls(kind, t, logged[there][first])
+        values, servo = logged[there][first], recording.servo
+        limited = kind == "command" and servo is not None and servo.limits_goal
+        return cls(kind, t, values, servo.goal(t, values) if limited and servo else None)
+
+    @property
+    def _held(self) -> tuple[Array, Array]:
+        """Times (M,) and values (M, n) of what the servo holds until the next."""
+        return (self.t, self.values) if self.goal is None else self.goal
 
     def means(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
         """Return the mean of the delayed signal over each time step, shape (W, steps, n).
@@ -54,8 +65,9 @@ class DriveSignal:
         if self.kind == "torque":
             middles = edges[:, :-1] + 0.5 * step
             return np.stack([np.interp(middles, self.t, x) for x in self.values.T], axis=-1)
-        t = np.concatenate([[self.t[0] - BEYOND], self.t, [self.t[-1] + BEYOND]])
-        held = np.concatenate([self.values[:1], self.values])
+        times, values = self._held
+        t = np.concatenate([[times[0] - BEYOND], times, [times[-1] + BEYOND]])
+        held = np.concatenate([values[:1], values])
         sums = np.concatenate(
             [np.zeros((1, held.shape[1])), np.cumsum(held * np.diff(t)[:, None], axis=0)]
         )
@@ -65,5 +77,6 @@ class DriveSignal:
     def slopes(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
         """Return the derivative of `means` of a held signal by the delay, shape (W, steps, n)."""
         edges = starts[:, None] + step * np.arange(steps + 1) - delay
-        at = np.clip(np.searchsorted(self.t, edges, side="right") - 1, 0, len(self.t) - 1)
-        return np.asarray(-np.diff(self.values[at], axis=1) / step)
+        times, values = self._held
+        at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, len(times) - 1)
+        return np.asarray(-np.diff(values[at], axis=1) / step)

@@ -23,8 +23,10 @@ DELAY_SCALE = 1e-3
 """Unit of the delay in the coordinates [s]."""
 DRIVE_RIDGE = 1e-4
 """Weight of drive parameters toward their start, which matters only if they are undetermined."""
-SERVO_SPREAD = np.array([1.0, 20.0])
-"""Prior standard deviation of the logarithm of a common stiffness, and of the delay [ms]."""
+STIFFNESS_SPREAD = 1.0
+"""Prior standard deviation of the logarithm of a common stiffness that nothing determines."""
+DELAY_SPREAD = 20.0
+"""Prior standard deviation of the delay, in units of `DELAY_SCALE`."""
 
 MOSTLY = 0.5
 """Share of its variance by prior and torque rows from which a parameter is left undetermined."""
@@ -78,6 +80,8 @@ class Objective:
         Where drive and servo parameters stay if nothing determines them.
     free_stiffness, free_delay
         Whether the servo is fitted.
+    stiffness_spread
+        Standard deviation of the logarithm of a common stiffness before the trajectories.
     """
 
     trajectories: Trajectories
@@ -89,6 +93,7 @@ class Objective:
     start: Point
     free_stiffness: bool = False
     free_delay: bool = False
+    stiffness_spread: float = STIFFNESS_SPREAD
     linear_factors: tuple[Array, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -302,8 +307,8 @@ class Objective:
         ridge = np.zeros(self.size)
         n = 10 * self.n_links
         ridge[n : len(self.start.chi)] = DRIVE_RIDGE / self.prior.drive_scale**2
-        spread = SERVO_SPREAD[[self.free_stiffness, self.free_delay]]
-        ridge[len(self.start.chi) :] = 1.0 / spread**2
+        spread = np.array([self.stiffness_spread, DELAY_SPREAD])
+        ridge[len(self.start.chi) :] = spread[[self.free_stiffness, self.free_delay]] ** -2.0
         return ridge
 
     def _away(self, point: Point) -> Array:

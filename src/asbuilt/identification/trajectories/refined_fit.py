@@ -12,7 +12,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.trajectories.objective import Objective, Point
+from asbuilt.identification.trajectories.objective import STIFFNESS_SPREAD, Objective, Point
 from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
@@ -71,6 +71,7 @@ def refine_fit(
     *,
     free_stiffness: bool = False,
     free_delay: bool = True,
+    stiffness_spread: float = STIFFNESS_SPREAD,
     belief: float = BELIEF,
     begin: Array | None = None,
     progress: Callable[[float], None] | None = None,
@@ -89,6 +90,8 @@ def refine_fit(
         Whether a common factor of its stiffnesses is fitted.
     free_delay
         Whether its delay is fitted.
+    stiffness_spread
+        Standard error of the logarithm of a common stiffness before the trajectories.
     belief
         Weight of the divergence of links from CAD.
     begin
@@ -117,6 +120,7 @@ def refine_fit(
         start,
         free_stiffness and servo is not None,
         free_delay and servo is not None,
+        stiffness_spread,
     )
     first = start if begin is None else Point(begin, servo)
     if objective.free_stiffness and servo is not None:

@@ -51,6 +51,54 @@ class RolloutErrors:
         }
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingErrors:
+    """Hold the errors over the windows of one recording, None where there are none.
+
+    `no_physics` are those of the delayed command, `regular` those as built over windows that are
+    not outlying.
+    """
+
+    source: str
+    n_windows: int
+    cad: RolloutErrors | None
+    as_built: RolloutErrors | None
+    no_physics: RolloutErrors | None = None
+    regular: RolloutErrors | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what `--json` prints."""
+        return {
+            "source": self.source,
+            "n_windows": self.n_windows,
+            **{name: each and each.as_dict() for name, each in self.errors().items()},
+        }
+
+    def errors(self) -> dict[str, RolloutErrors | None]:
+        """Return the errors by name."""
+        return {name: getattr(self, name) for name in BY_RECORDING}
+
+
+BY_RECORDING = ("cad", "as_built", "no_physics", "regular")
+"""Names of the errors of a recording."""
+
+
+def mean_errors(recordings: Sequence[RecordingErrors]) -> dict[str, float | None]:
+    """Return the mean of `rms_all` over recordings, however many windows each has.
+
+    None where a recording has no such errors; recordings without regular windows do not count
+    there.
+    """
+    found: dict[str, float | None] = {}
+    for name in BY_RECORDING:
+        each = [getattr(one, name) for one in recordings]
+        if name == "regular":
+            each = [one for one in each if one is not None]
+        whole = bool(each) and all(one is not None for one in each)
+        found[name] = float(np.mean([one.rms_all for one in each])) if whole else None
+    return found
+
+
 def rollout_errors(
     model: RobotModel, measured: Sequence[Array], simulated: Sequence[Array]
 ) -> RolloutErrors:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure, Finding, joined
@@ -17,7 +17,12 @@ from asbuilt.identification.trajectories.drive_signal import DrivenBy
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
-from asbuilt.validation.rollout.errors import RolloutErrors, rollout_errors
+from asbuilt.validation.rollout.errors import (
+    RecordingErrors,
+    RolloutErrors,
+    mean_errors,
+    rollout_errors,
+)
 from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
 from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, outlying_windows
 
@@ -53,8 +58,8 @@ class Rollout:
         no command was repeated.
     no_physics
         Errors of the delayed command taken for the position; None if torques drive.
-    by_motion
-        Recording, number of windows, errors by CAD and as built.
+    by_recording
+        Errors recording by recording.
     why
         Why a robot was not simulated, by `"cad"` or `"as_built"`.
     outlying
@@ -70,7 +75,7 @@ class Rollout:
     as_built: RolloutErrors | None
     floor: RolloutErrors | None
     no_physics: RolloutErrors | None
-    by_motion: tuple[tuple[str, int, RolloutErrors | None, RolloutErrors | None], ...]
+    by_recording: tuple[RecordingErrors, ...]
     why: tuple[tuple[str, str], ...] = ()
     outlying: tuple[OutlyingWindow, ...] = ()
     regular: RolloutErrors | None = None
@@ -97,15 +102,8 @@ class Rollout:
             },
             "outlying": [each.as_dict() for each in self.outlying],
             "regular": None if self.regular is None else self.regular.as_dict(),
-            "motions": [
-                {
-                    "source": source,
-                    "n_windows": count,
-                    "cad": None if cad is None else cad.as_dict(),
-                    "as_built": None if built is None else built.as_dict(),
-                }
-                for source, count, cad, built in self.by_motion
-            ],
+            "mean": mean_errors(self.by_recording),
+            "motions": [each.as_dict() for each in self.by_recording],
         }
 
 
@@ -148,6 +146,15 @@ def roll_out(
         return rollout_errors(model, [each.windows.q for each in of], paths)
 
     command = [delayed_command(cut) for cut in windows]
+    found, usual = _outlying(model, motions)
+
+    def without(k: int) -> RolloutErrors | None:
+        """Return the errors as built of the windows of a recording that are not outlying."""
+        path, at = motions[k].as_built, usual[k] if usual else None
+        if path is None or at is None or not len(at):
+            return None
+        return rollout_errors(model, [windows[k].q[at]], [path[at]])
+
     return Rollout(
         windows[0].horizon,
         windows[0].signal.kind,
@@ -159,33 +166,43 @@ def roll_out(
         if all(each is not None for each in command)
         else None,
         tuple(
-            (
+            RecordingErrors(
                 each.windows.source,
                 each.windows.n_windows,
                 errors("cad", [each]),
                 errors("as_built", [each]),
+                None if late is None else rollout_errors(model, [each.windows.q], [late]),
+                without(k),
             )
-            for each in motions
+            for k, (each, late) in enumerate(zip(motions, command, strict=True))
         ),
         tuple(why.items()),
-        *_outlying(model, motions),
+        found,
+        _of_regular(model, motions, usual) if found else None,
     )
 
 
 def _outlying(
     model: RobotModel, motions: Sequence[SimulatedMotion]
-) -> tuple[tuple[OutlyingWindow, ...], RolloutErrors | None]:
-    """Return the outlying windows as built, and the errors of the others."""
+) -> tuple[tuple[OutlyingWindow, ...], list[Indices]]:
+    """Return the outlying windows as built, and for each recording the others."""
     paths = [each.as_built for each in motions if each.as_built is not None]
     if len(paths) < len(motions):
-        return (), None
-    cuts = [each.windows for each in motions]
-    found, usual = outlying_windows(cuts, paths, model.joint_names)
-    if not found:
-        return (), None
-    measured = [cut.q[at] for cut, at in zip(cuts, usual, strict=True)]
-    simulated = [path[at] for path, at in zip(paths, usual, strict=True)]
-    return found, rollout_errors(model, measured, simulated)
+        return (), []
+    return outlying_windows([each.windows for each in motions], paths, model.joint_names)
+
+
+def _of_regular(
+    model: RobotModel, motions: Sequence[SimulatedMotion], usual: Sequence[Indices]
+) -> RolloutErrors:
+    """Return the errors as built over all windows that are not outlying."""
+    measured = [each.windows.q[at] for each, at in zip(motions, usual, strict=True)]
+    simulated = [
+        each.as_built[at]
+        for each, at in zip(motions, usual, strict=True)
+        if each.as_built is not None
+    ]
+    return rollout_errors(model, measured, simulated)
 
 
 def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
@@ -220,10 +237,15 @@ def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
 
 
 def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
-    """Return a finding if the delayed command alone is closer to the motion than the model."""
+    """Return a finding if the delayed command alone is closer to the motion than the model.
+
+    If that is so in some recordings, it names them.
+    """
     built, plain = rollout.as_built, rollout.no_physics
-    if built is None or plain is None or not built.rms_all > plain.rms_all:
+    if built is None or plain is None:
         return []
+    if not built.rms_all > plain.rms_all:
+        return _worse_in_recordings(rollout, length)
     return [
         Finding(
             "rollout_worse_than_command",
@@ -232,6 +254,29 @@ def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
             f" simulation as built ({1e3 * plain.rms_all:.3g} against"
             f" {1e3 * built.rms_all:.3g} mrad)",
             Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
+        )
+    ]
+
+
+def _worse_in_recordings(rollout: Rollout, length: str) -> list[Finding]:
+    """Return a finding that names recordings in which the delayed command alone is closer."""
+    worse = [
+        f"{Path(each.source).name} ({1e3 * each.no_physics.rms_all:.3g} against"
+        f" {1e3 * each.as_built.rms_all:.3g} mrad)"
+        for each in rollout.by_recording
+        if each.as_built is not None
+        and each.no_physics is not None
+        and each.as_built.rms_all > each.no_physics.rms_all
+    ]
+    if not worse:
+        return []
+    return [
+        Finding(
+            "rollout_worse_than_command",
+            "warning",
+            f"Over {length} the delayed command alone is closer to the measured motion than the"
+            f" simulation as built in {joined(worse, 6)}",
+            Cure("look there for rests, contact and loads that the model lacks"),
         )
     ]
 

@@ -16,6 +16,7 @@ from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
+from asbuilt.workflow.servo import with_delay_errors
 from asbuilt.workflow.simulation.refinement import Refined, refine_study
 from asbuilt.workflow.simulation.rollout import Simulated
 
@@ -135,7 +136,8 @@ def _fitted(
             threads=options.threads,
             fitted_nonlinear=choice.fitted,
         )
-        return replace(fit, provenance=(*fit.provenance, *choice.sentences))
+        fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
+        return with_delay_errors(fit, servo)
 
     final = fitted(used)
     validated = fitted(prepared.training) if prepared.whole else final

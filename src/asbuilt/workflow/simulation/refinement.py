@@ -15,6 +15,7 @@ from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
+from asbuilt.identification.trajectories.objective import STIFFNESS_SPREAD
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, robot_as_built
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
@@ -101,6 +102,7 @@ def refine_study(
         _windows(parts, horizon),
         known,
         free_stiffness=servo is not None and any(x != "given" for x in servo.errors.scale),
+        stiffness_spread=_stiffness_spread(servo),
         progress=lambda fraction: report("refine", fraction),
     )
     return (
@@ -114,6 +116,16 @@ def refine_study(
             refined.start,
         ),
     )
+
+
+def _stiffness_spread(servo: ServoEstimate | None) -> float:
+    """Return the relative standard error of a common stiffness by the fit to torques."""
+    if servo is None:
+        return STIFFNESS_SPREAD
+    relative = np.array(servo.errors.kp) / np.array(servo.servo.kp)
+    unknown = relative[np.array(servo.errors.scale) != "given"]
+    known = unknown[np.isfinite(unknown) & (unknown > 0.0)]
+    return min(float(np.min(known)), STIFFNESS_SPREAD) if known.size else STIFFNESS_SPREAD
 
 
 def judged(result: IdentificationResult, refined: Refined, parts: Sequence[Simulated]) -> Refined:

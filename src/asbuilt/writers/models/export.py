@@ -260,6 +260,11 @@ def delay_notes(result: IdentificationResult, kind: Literal["mjcf", "urdf"]) -> 
             f"{kind.upper()} has no place for the delay of the servo: give the simulator each"
             f" command {1e3 * servo.delay:.3g} ms later"
         )
+    if servo.limits_goal:
+        notes.append(
+            f"{kind.upper()} has no place for the limit of the goal's acceleration,"
+            f" {min(servo.goal_acceleration):.4g} rad/s^2: pass commands through it"
+        )
     if kind == "urdf":
         notes.append("URDF has no place for the gains of the servo")
     return tuple(notes)

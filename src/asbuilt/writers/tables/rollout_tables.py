@@ -11,7 +11,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Shown, Table, significant, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.simulation.refinement import Refined
 
@@ -39,7 +39,7 @@ def rollout_text(
     parts = [rollout_table(model, rollouts)]
     if full:
         parts += [joint_table(model, each) for each in rollouts]
-        parts += [motion_table(model, each) for each in rollouts if len(each.by_motion) > 1]
+        parts += [motion_table(model, each) for each in rollouts if len(each.by_recording) > 1]
     said = (
         []
         if cure_text is None
@@ -119,16 +119,24 @@ def motion_table(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every recording for one horizon."""
     unit = position_unit(model)
     columns = (
-        Column("recording", width=40),
+        Column("recording", width=24),
         Column("windows", align="right"),
         Column("CAD", unit, "decimal"),
         Column("as built", unit, "decimal"),
+        Column("command", unit, "decimal"),
+        Column("without outlying", unit, "decimal"),
     )
-    rows = tuple(
-        (recording_name(source), count, _shown(cad), _shown(built))
-        for source, count, cad, built in rollout.by_motion
-    )
-    return Table(columns, rows, title=f"Rollouts of {rollout.horizon:g} s by recording")
+    rows: list[tuple[Cell, ...]] = [
+        (
+            recording_name(each.source),
+            each.n_windows,
+            *(_shown(errors) for errors in each.errors().values()),
+        )
+        for each in rollout.by_recording
+    ]
+    means = mean_errors(rollout.by_recording)
+    rows.append(("mean of recordings", rollout.n_windows, *map(_milli, means.values())))
+    return _filled(columns, rows, f"Rollouts of {rollout.horizon:g} s by recording")
 
 
 def _filled(columns: Sequence[Column], rows: Sequence[tuple[Cell, ...]], title: str) -> Table:

@@ -76,6 +76,11 @@ class ExportedDrives:
             notes.append(
                 f"{kind} has no place for the delay of the servo, {1e3 * self.delay:.3g} ms"
             )
+        if self.servo is not None and self.servo.limits_goal:
+            notes.append(
+                f"{kind} has no place for the limit of the goal's acceleration,"
+                f" {min(self.servo.goal_acceleration):.4g} rad/s^2"
+            )
         if gains and not self.has_gains:
             notes.append(
                 "no position servo was identified: gains are zero, and commands are torques"

@@ -1,0 +1,154 @@
+"""Whether 95 % intervals of drives and delay cover the truth when a command is the torque.
+
+A servo arm and a quadruped that hangs in the air, simulated by MuJoCo under random commands, whose
+links differ from their description; the gains of the servo are known.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.formats.mjcf import read_mjcf
+from asbuilt.description.model import DriveValues, RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.recording import Recording
+from asbuilt.identification.identify import fit_samples
+from asbuilt.identification.trajectories.drive_signal import DriveSignal
+from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
+from asbuilt.identification.trajectories.simulated_robot import robot_as_described
+from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.prepare import prepare
+from asbuilt.workflow.servo import explained, settle_servo, with_delay_errors
+
+REPETITIONS = 20
+RATE, DURATION, DELAY = 100.0, 40.0, 0.008
+NOISES = (1e-3, 5e-3)
+"""Standard deviations of the noise of positions [rad]. With the smaller one, what remains of the
+friction at reversals in the band of the low-pass exceeds the errors by noise."""
+STEP = 1e-4
+"""Step of the simulation [s]: MuJoCo's steps make torques early by half a step."""
+DRIVE = DriveSet.parse("armature,viscous,coulomb")
+DRIVES = DriveValues(armature=0.02, viscous=0.4, coulomb=0.08)
+NORMAL_95 = 1.959964
+CAD_ERROR = 0.1
+"""Standard deviation of the scale of each link's masses and inertias against CAD."""
+WAVES = (0.31, 0.57, 0.93, 1.7)
+"""Frequencies of the commands [Hz]."""
+KINDS = {"Ia": "armature", "Fv": "damping", "Fc": "friction loss"}
+LEG = """<body name="{n}hip" pos="{x} {y} 0"><joint name="{n}hip" axis="1 0 0"/>
+<geom type="capsule" size="0.04" fromto="0 0 0 0 {h} 0" mass="0.7"/>
+<body name="{n}thigh" pos="0 {h} 0"><joint name="{n}thigh" axis="0 1 0"/>
+<geom type="capsule" size="0.03" fromto="0 0 0 0 0 -0.2" mass="1.1"/>
+<body name="{n}calf" pos="0 0 -0.2"><joint name="{n}calf" axis="0 1 0"/>
+<geom type="capsule" size="0.015" fromto="0 0 0 0 0 -0.2" mass="0.25"/></body></body></body>"""
+ARM = """<body name="a"><joint name="pan" axis="0 0 1"/>
+<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.1" mass="0.3"/>
+<body name="b" pos="0 0 0.1"><joint name="lift" axis="0 1 0"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0.25 0 0" mass="0.4"/>
+<body name="c" pos="0.25 0 0"><joint name="elbow" axis="0 1 0"/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0.2 0 0" mass="0.3"/></body></body></body>"""
+
+
+def measure(repetitions: int = REPETITIONS) -> dict[str, float]:
+    """Return the share of intervals that cover the truth, by robot and kind of parameter."""
+    legs = "".join(
+        LEG.format(n=f"{x}{y}", x=0.2 * x, y=0.05 * y, h=0.09 * y) for x in (1, -1) for y in (1, -1)
+    )
+    found: dict[str, float] = {}
+    for name, bodies, kp, kd in (("arm", ARM, 15.0, 0.0), ("quadruped", legs, 20.0, 1.5)):
+        described = read_mjcf(f'<mujoco model="{name}"><worldbody>{bodies}</worldbody></mujoco>')
+        for noise in NOISES:
+            hits: dict[str, list[bool]] = defaultdict(list)
+            for seed in range(repetitions):
+                rng = np.random.default_rng(seed)
+                for kind, each in _covered(described, kp, kd, noise, rng).items():
+                    hits[kind] += each
+            found |= {
+                f"{name}, {1e3 * noise:g} mrad, {kind}": float(np.mean(each))
+                for kind, each in hits.items()
+            }
+    return found
+
+
+def _covered(
+    described: RobotModel, kp: float, kd: float, noise: float, rng: np.random.Generator
+) -> dict[str, list[bool]]:
+    """Return for each kind whether the intervals of one recording cover the truth."""
+    n = described.n_joints
+    scale = np.exp(CAD_ERROR * rng.standard_normal(n))
+    chi = (described.parameters.reshape(n, 10) * scale[:, None]).reshape(-1)
+    joints = tuple(replace(joint, drive=DRIVES) for joint in described.joints)
+    truth = replace(described.with_parameters(chi), joints=joints)
+    servo = PositionServo(kp=(kp,) * n, kd=(kd,) * n, delay=DELAY)
+    recording = _recorded(truth, servo, noise, rng)
+    driven = driven_by_command(recording, replace(servo, delay=None))
+    options = StudyOptions(drive=DRIVE, checked=False)
+    (item,), _, found, options = settle_servo(described, [driven], [], options)
+    if found is None:
+        raise ValueError("the recording has no servo")
+    prepared = prepare(described, [item], chain=options.chain, checked=False, estimate_delay=False)
+    training = explained(prepared, [item], found).training
+    base = find_base_parameters(described, DRIVE)
+    fit = with_delay_errors(fit_samples(described, training, base=base, method="auto"), found)
+    variance = np.diag(fit.uncertainty.covariance).copy()
+    variance += 0.0 if fit.delay is None else np.diag(fit.delay.covariance)
+    drives = np.tile([DRIVES.armature, DRIVES.viscous, DRIVES.coulomb], n)
+    beta = base.regrouping @ np.append(chi, drives)
+    inside = np.abs(fit.estimate.beta - beta) < NORMAL_95 * np.sqrt(variance)
+    hits: dict[str, list[bool]] = defaultdict(list)
+    for parameter, each in zip(base.names, inside.tolist(), strict=True):
+        if parameter[:2] in KINDS:
+            hits[KINDS[parameter[:2]]].append(each)
+    late = abs((found.servo.delay or 0.0) - DELAY) < NORMAL_95 * found.errors.delay
+    hits["delay"].append(bool(late))
+    return hits
+
+
+def _recorded(
+    truth: RobotModel, servo: PositionServo, noise: float, rng: np.random.Generator
+) -> Recording:
+    """Return a recording that MuJoCo simulates, with noise of the positions."""
+    n, t = truth.n_joints, np.arange(round(DURATION * RATE)) / RATE
+    u = np.zeros((t.size, n))
+    for frequency in WAVES:
+        size = rng.uniform(0.05, 0.25, n) / np.sqrt(frequency)
+        u += size * np.sin(2.0 * np.pi * frequency * t[:, None] + rng.uniform(0.0, 2.0 * np.pi, n))
+    q = _simulated(truth, servo, t, u) + noise * rng.standard_normal(u.shape)
+    return Recording(
+        t=t,
+        q=q,
+        tau=np.zeros_like(q),
+        command=u,
+        joint_names=truth.joint_names,
+        torque_source="command",
+    )
+
+
+def _simulated(truth: RobotModel, servo: PositionServo, t: Array, u: Array) -> Array:
+    """Return the positions of one window as long as the recording, (N, n)."""
+    window = Windows(
+        "virtual",
+        float(t[-1]),
+        RATE,
+        t[:1],
+        u[None],
+        u[:1],
+        np.zeros_like(u[:1]),
+        DriveSignal("command", t, u),
+        longest_step=STEP,
+    )
+    return simulate_windows(robot_as_described(truth, servo), window)[0]
+
+
+if __name__ == "__main__":
+    for kind, share in measure(int(sys.argv[1]) if len(sys.argv) > 1 else REPETITIONS).items():
+        print(f"{kind:<28} {100.0 * share:5.1f} %")

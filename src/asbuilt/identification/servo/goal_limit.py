@@ -1,0 +1,225 @@
+"""Limit of the acceleration that a position servo gives its goal, sought in a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain as chain_of
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.experiment.command.servo_torque import command_rate, held_command
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification.servo.servo_rows import ServoRows
+from asbuilt.identification.servo.servo_scale import block_weights, clustered
+
+
+@dataclass(frozen=True, slots=True)
+class GoalRules:
+    """Say how a limit is sought, and when it counts as found: own choices.
+
+    Parameters
+    ----------
+    slowest, fastest
+        Range of the limit, in units of the largest acceleration that joints reached; a joint that
+        resonates reaches more than its goal.
+    ratio
+        Ratio of neighbouring limits that are tried.
+    visible
+        Largest change of the goal beyond a delay, in units of the control error, below which a
+        limit is not distinguishable from none.
+    significance
+        Smallest likelihood ratio statistic, residuals taken as one per cluster of blocks: three
+        standard errors.
+    determined
+        Largest relative standard error.
+    passes
+        Passes of the robust weights of time blocks.
+    """
+
+    slowest: float = 0.15
+    fastest: float = 8.0
+    ratio: float = 1.5
+    visible: float = 0.15
+    significance: float = 9.0
+    determined: float = 0.2
+    passes: int = 4
+
+
+RULES = GoalRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GoalLimit:
+    """Hold a limit of the goal's acceleration [rad/s^2 or m/s^2] with its standard error.
+
+    `acts` are the time blocks that it explains, in order of time.
+    """
+
+    acceleration: float
+    std_error: float
+    acts: tuple[TimeBlock, ...]
+
+
+def limited(servo: PositionServo, acceleration: float) -> PositionServo:
+    """Return the servo with a limit of the goal's acceleration where it was unknown."""
+    given = np.array(servo.goal_acceleration)
+    values = np.where(np.isnan(given), acceleration, given)
+    return replace(servo, goal_acceleration=tuple(values.tolist()))
+
+
+def find_goal_limit(
+    recording: Recording,
+    servo: PositionServo,
+    chain: SignalChain,
+    rows: Callable[[PositionServo], ServoRows],
+) -> GoalLimit | None:
+    """Return the limit under which a recording fits best; None if it shows none.
+
+    For each limit `goal - q = W b + v qd + step dgoal/dt` is fitted joint by joint, with everything
+    free. The cost is that of residuals whose variance varies from block to block, with a bounded
+    influence of each (`n log(1 + r / median)` for the mean square r of n rows), so that contact
+    does not count.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    servo
+        Its servo; a limit that is NaN is sought, one for all such joints.
+    chain
+        The signal chain, its cutoff settled.
+    rows
+        Returns the rows of the recording under a servo.
+    """
+    joints = np.flatnonzero(np.isnan(np.array(servo.goal_acceleration)))
+    visible = _visible_limits(recording, servo, chain, joints)
+    first = next(visible, None)
+    if first is None:
+        return None
+    plain = rows(limited(servo, np.inf))
+    usual = _usual(plain, joints)
+    without = _costs(plain, joints, usual)
+    kept: dict[float, Array] = {}
+
+    def costs(limit: float) -> Array:
+        if limit not in kept:
+            kept[limit] = _costs(rows(limited(servo, limit)), joints, usual)
+        return kept[limit]
+
+    tried: list[float] = []
+    sums: list[float] = []
+    for limit in chain_of([first], visible):
+        tried.append(limit)
+        sums.append(float(np.sum(costs(limit) - without)))
+        if len(sums) > 1 and min(sums[-2:]) > 0.0:
+            break
+    best = tried[int(np.argmin(sums))]
+    if not _better(without - costs(best), plain, joints):
+        return None
+    found = minimize_scalar(
+        lambda x: float(np.sum(costs(float(np.exp(x))))),
+        bounds=np.log(best) + np.log(RULES.ratio) * np.array([-1.0, 1.0]),
+        method="bounded",
+        options={"xatol": 5e-3},
+    )
+    limit = float(np.exp(found.x))
+    error = _relative_error(costs, limit, plain)
+    if not error < RULES.determined:
+        return None
+    return GoalLimit(
+        limit,
+        limit * error,
+        _acting(without - costs(limit), plain),
+    )
+
+
+def _visible_limits(
+    recording: Recording, servo: PositionServo, chain: SignalChain, joints: Indices
+) -> Iterator[float]:
+    """Yield the limits in their range that change the goal beyond a delay, fastest first."""
+    if not joints.size or recording.command is None:
+        return
+    largest = float(np.max(np.abs(prepare_samples(recording, chain).qdd[:, joints]), initial=0.0))
+    if not largest > 0.0:
+        return
+    plain = replace(recording, servo=limited(servo, np.inf))
+    held, rate = held_command(plain), command_rate(plain)
+    count = 1 + round(np.log(RULES.fastest / RULES.slowest) / np.log(RULES.ratio))
+    for limit in (RULES.slowest * largest * RULES.ratio ** np.arange(count)[::-1]).tolist():
+        if _seen(replace(plain, servo=limited(servo, limit)), held, rate, joints):
+            yield limit
+
+
+def _seen(recording: Recording, held: Array, rate: Array, joints: Indices) -> bool:
+    """Whether the goal of a recording differs visibly from the delayed command, in any joint."""
+    moved, error = held_command(recording) - held, held - recording.q
+    rows = np.all(np.isfinite(moved) & np.isfinite(rate) & np.isfinite(error), axis=1)
+    if not np.any(rows):
+        return False
+    moved, rate, error = moved[rows][:, joints], rate[rows][:, joints], error[rows][:, joints]
+    late = np.sum(moved * rate, axis=0) / np.maximum(np.sum(rate**2, axis=0), 1e-300)
+    size = np.max(np.abs(moved - late * rate), axis=0)
+    return bool(np.any(size > RULES.visible * np.max(np.abs(error - np.median(error, 0)), axis=0)))
+
+
+def _acting(fall: Array, rows: ServoRows) -> tuple[TimeBlock, ...]:
+    """Return the blocks that make up nine tenths of a fall of the cost (B,)."""
+    order = np.argsort(-fall)
+    enough = int(np.searchsorted(np.cumsum(fall[order]), 0.9 * np.sum(fall))) + 1
+    return tuple(rows.times[int(b)] for b in sorted(order[:enough].tolist()))
+
+
+def _better(fall: Array, rows: ServoRows, joints: Indices) -> bool:
+    """Whether a fall of the cost of blocks (B,) is significant, with one residual per cluster."""
+    share = clustered(fall, rows).size * joints.size / max(float(np.sum(rows.counts[joints])), 1.0)
+    return float(np.sum(fall)) * min(share, 1.0) > RULES.significance
+
+
+def _relative_error(costs: Callable[[float], Array], limit: float, rows: ServoRows) -> float:
+    """Return the standard error of the logarithm of the limit, from the scores of the blocks."""
+    step = 0.05
+    up, down = costs(limit * np.exp(step)), costs(limit * np.exp(-step))
+    scores = clustered((up - down) / (2.0 * step), rows)
+    curvature = float(np.sum(up + down - 2.0 * costs(limit))) / step**2
+    return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")
+
+
+def _usual(rows: ServoRows, joints: Indices) -> Array:
+    """Return the median mean square of the residuals of each joint over blocks (n,)."""
+    usual = np.ones(len(rows.support))
+    for k in joints.tolist():
+        variances = _variances(rows, k)
+        if np.any(np.isfinite(variances)):
+            usual[k] = max(float(np.nanmedian(variances)), 1e-300)
+    return usual
+
+
+def _costs(rows: ServoRows, joints: Indices, usual: Array) -> Array:
+    """Return the cost of each block (B,)."""
+    return np.asarray(
+        sum(
+            np.nan_to_num(rows.counts[k] * np.log1p(_variances(rows, k) / usual[k]))
+            for k in joints.tolist()
+        )
+    )
+
+
+def _variances(rows: ServoRows, k: int) -> Array:
+    """Return the mean square of a joint's residual in each block (B,), NaN if it has few rows."""
+    free = np.arange(rows.support[k].size + 2)
+    weight = np.ones(len(rows.times))
+    for _ in range(RULES.passes):
+        gram = rows.total(k, weight)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(gram)[free], 1e-300))
+        normal = gram[np.ix_(free, free)] * np.outer(scale, scale)
+        x = scale * np.linalg.lstsq(normal, scale * gram[free, -1], rcond=1e-10)[0]
+        residual = np.append(-x, 1.0)
+        weight = block_weights(rows, k, residual)
+    return rows.variances(k, residual)
