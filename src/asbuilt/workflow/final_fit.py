@@ -10,6 +10,8 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Finding, ranked
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.generalisation.effect_bias import with_effects
+from asbuilt.validation.generalisation.missing_effects import MissingEffect
 from asbuilt.workflow.options import StudyOptions
 
 KEPT = ("Cutoff: ", "base tilt of ", "no significant base tilt")
@@ -21,6 +23,7 @@ def fitted_to_everything(
     findings: Sequence[Finding],
     whole: Sequence[Samples],
     options: StudyOptions,
+    effects: Sequence[MissingEffect] = (),
 ) -> dict[str, Any]:
     """Return result and findings of a study whose parameters are of a fit to all samples.
 
@@ -36,6 +39,8 @@ def fitted_to_everything(
         All samples, nothing held out.
     options
         How to identify.
+    effects
+        Effects that the model lacks, whose bias the standard errors include.
     """
     fit = fit_samples(
         trained.model,
@@ -47,6 +52,7 @@ def fitted_to_everything(
         block_seconds=options.block_seconds,
         threads=options.threads,
     )
+    fit = with_effects(fit, whole, effects, block_seconds=options.block_seconds)
     train, _ = fit.metrics(whole)
     note = (
         f"Held-out errors are of a fit without what was held out ({trained.holdout},"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from asbuilt.codec import plain, restored
@@ -37,12 +37,17 @@ from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.consolidation import consolidated
+from asbuilt.validation.generalisation.effect_bias import with_effects
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
-from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
+from asbuilt.validation.generalisation.missing_effects import (
+    MissingEffect,
+    confirmed_effects,
+    missing_effect_findings,
+)
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
@@ -95,6 +100,8 @@ class Study:
         Simulations of what was held out and of the other recordings, one per length of windows.
     refined
         How the refinement by trajectories went; None without one.
+    effects
+        Effects that the model lacks and the recordings show; standard errors include their bias.
 
     A study that is read from a file has the result and the findings alone.
     """
@@ -108,6 +115,7 @@ class Study:
     attribution: Attribution | None = None
     rollouts: tuple[Rollout, ...] = ()
     refined: Refined | None = None
+    effects: tuple[MissingEffect, ...] = ()
 
     def __repr__(self) -> str:
         codes = ", ".join(finding.code for finding in self.findings) or "none"
@@ -257,7 +265,8 @@ def identify(
     late = Delays(prepared.chain or SignalChain(), () if servo else prepared.delay)
     everything = replace(prepared, training=divided(trained, late.chain, None, late)[0])
     whole = explained(everything, trained, servo).training
-    return replace(study, **fitted_to_everything(study.result, study.findings, whole, options))
+    final = fitted_to_everything(study.result, study.findings, whole, options, study.effects)
+    return replace(study, **final)
 
 
 def _held_out(prepared: Prepared) -> bool:
@@ -307,9 +316,10 @@ def _concluded(
     )
     cause_data, too_short = _cause_data(fit, prepared, options.block_seconds)
     train, train_cad = _together(fit, trained)
-    result = fit.concluded(
-        train,
-        validations[0].metrics_cad if validations else train_cad,
+    conclude = partial(
+        Fit.concluded,
+        train=train,
+        cad=validations[0].metrics_cad if validations else train_cad,
         validation=[each.metrics_as_built for each in validations],
         cause_data=cause_data,
         chain=prepared.chain,
@@ -325,6 +335,10 @@ def _concluded(
         servo_errors=None if servo is None else servo.errors,
         corrected=() if mounting is None else ("mounting",),
     )
+    result = conclude(fit)
+    effects = confirmed_effects(result, training, block_seconds=options.block_seconds)
+    fit = with_effects(fit, training, effects, block_seconds=options.block_seconds)
+    result = result if fit.omitted is None else conclude(fit)
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
     findings = (
@@ -354,7 +368,7 @@ def _concluded(
         *servo_findings(model, servo, choice.drive),
         *refinement_findings(refined),
         *cause_findings(attribution),
-        *missing_effect_findings(result, training, block_seconds=options.block_seconds),
+        *missing_effect_findings(result, effects, counted=fit.omitted is not None),
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )
@@ -368,6 +382,7 @@ def _concluded(
         cutoffs,
         attribution,
         refined=refined,
+        effects=effects,
     )
 
 
