@@ -24,14 +24,14 @@ from asbuilt.workflow.study import identify
 
 MODEL = bundled_robot("two-link")
 FITTED = DriveSet.parse("viscous,coulomb,offset")
-RICHER = DriveSet.parse("viscous,coulomb,offset,quadratic")
-STRIBECK = DriveSet.parse("viscous,coulomb,offset,stribeck:velocity=0.1")
+RICHER = DriveSet.parse("viscous,coulomb,quadratic,offset")
+STRIBECK = DriveSet.parse("viscous,coulomb,stribeck:velocity=0.1,offset")
 SHOWN = tuple(MissingEffect("quadratic", name, 20.0, 0.0) for name in MODEL.joint_names)
 
 
 def samples(seed: int = 0, drive: DriveSet = RICHER, further: float = 0.2) -> Samples:
     """Return samples of a robot with some further friction."""
-    values = np.tile([1.0, 1.0, 0.3, further], 2)
+    values = np.tile([1.0, 1.0, further, 0.3], 2)
     machine = VirtualRobot.ideal(MODEL).with_drive(drive, values)
     log = machine.record(random_fourier(MODEL, rng=3, duration=30.0), rate=100.0).recording
     noise = 0.02 * np.random.default_rng(seed).normal(size=log.tau.shape)
