@@ -1,19 +1,23 @@
 """Whether 95 % intervals cover the truth in 95 % of cases.
 
 200 virtual recordings of each robot, torque noise of several colours; of real bodies 100, some near
-what is possible.
+what is possible. Then 40 of each of three robots where the model is right and where it lacks
+something: Stribeck friction of half the Coulomb friction, a base tilt of 0.5 degrees, torque 5 ms
+late, positions in 4096 counts at 1 kHz. There either the fault is named in 95 % of cases, or
+intervals hold 93 %.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
+import argparse
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+import faults
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
@@ -75,6 +79,9 @@ STUDIES_OF_PULLS = (
 SPREAD = 0.25
 """Spread of the logarithm of the other eigenvalues: how far CAD is off."""
 SMALL_FRICTION = 0.03
+ROBOTS_WITH_FAULTS = ("kuka-iiwa7-r800", "ur10e", "scara")
+REPETITIONS_OF_FAULTS = 40
+PARTS = ("noise", "bodies", "faults")
 
 
 def recordings(
@@ -201,18 +208,32 @@ def off_from_cad(
     )
 
 
-def measure(repetitions: int | None = None) -> dict[str, float | str]:
+def coverage_of_fault(robot: str, fault: str, repetitions: int) -> dict[str, float]:
+    """Return the shares where the model lacks something, and of recordings that name it."""
+    model = load_robot(robot)
+    held, named = [], []
+    for study in faults.studies(model, fault, repetitions):
+        error = np.abs(study.result.estimates - faults.true_values(model, study))
+        held.append(error < NORMAL_95 * study.result.std_errors)
+        named.append(faults.is_named(study, fault))
+    per_parameter = np.mean(held, axis=0)
+    return {
+        "": float(per_parameter.mean()),
+        "_worst_parameter": float(per_parameter.min()),
+        "_named": float(np.mean(named)),
+    }
+
+
+def measure(repetitions: int | None = None, parts: Sequence[str] = PARTS) -> dict[str, float | str]:
     """Return shares."""
     numbers: dict[str, float | str] = {}
-    for robot, correlation_time, duration in STUDIES:
+    for robot, correlation_time, duration in STUDIES if "noise" in parts else ():
         found = coverage(robot, correlation_time, duration, repetitions or REPETITIONS)
-        numbers |= {
-            f"{robot}_{correlation_time:g}s_noise_{duration:g}s{kind}": value
-            for kind, value in found.items()
-        }
-    for pulled, (robot, correlation_time, duration, noise, edge) in [
-        (False, s) for s in STUDIES_OF_BODIES
-    ] + [(True, s) for s in STUDIES_OF_PULLS]:
+        numbers |= _reported(f"{robot}_{correlation_time:g}s_noise_{duration:g}s", found)
+    fits = [(False, s) for s in STUDIES_OF_BODIES] + [(True, s) for s in STUDIES_OF_PULLS]
+    for pulled, (robot, correlation_time, duration, noise, edge) in (
+        fits if "bodies" in parts else ()
+    ):
         found = coverage_of_bodies(
             robot,
             correlation_time,
@@ -226,10 +247,25 @@ def measure(repetitions: int | None = None) -> dict[str, float | str]:
             f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s"
             f"_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
         )
-        numbers |= {f"{name}{kind}": value for kind, value in found.items()}
+        numbers |= _reported(name, found)
+    for robot in ROBOTS_WITH_FAULTS if "faults" in parts else ():
+        for fault in faults.FAULTS:
+            found = coverage_of_fault(robot, fault, repetitions or REPETITIONS_OF_FAULTS)
+            numbers |= _reported(f"{robot}_with_fault_{fault}", found)
+    return numbers
+
+
+def _reported(name: str, found: dict[str, float]) -> dict[str, float]:
+    """Return shares under their full names, and print them."""
+    numbers = {f"{name}{kind}": value for kind, value in found.items()}
+    for each, value in numbers.items():
+        print(f"{each:<72} {value:.3f}", flush=True)
     return numbers
 
 
 if __name__ == "__main__":
-    for name, value in measure(int(sys.argv[1]) if len(sys.argv) > 1 else None).items():
-        print(f"{name:<72} {value:.3f}")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repetitions", type=int, help="recordings of each study")
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)} (default: all)")
+    arguments = parser.parse_args()
+    measure(arguments.repetitions, arguments.parts or PARTS)

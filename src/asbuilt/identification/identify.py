@@ -23,6 +23,7 @@ from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearPlace,
     nonlinear_errors,
 )
+from asbuilt.identification.errors.omitted_bias import OmittedBias
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     block_uncertainty,
@@ -74,6 +75,7 @@ class Fit:
     rate: float
     provenance: tuple[str, ...]
     findings: tuple[Finding, ...]
+    omitted: OmittedBias | None = None
 
     @property
     def base(self) -> BaseParameters:
@@ -115,6 +117,7 @@ class Fit:
             uncertainty=self.uncertainty,
             nonlinear=self.nonlinear,
             delayed=self.delay,
+            omitted=self.omitted,
             findings=self.findings,
             **further,
         )

@@ -25,6 +25,7 @@ from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison, compare
+from asbuilt.validation.generalisation.missing_effects import MissingEffect
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
@@ -67,6 +68,8 @@ class Study:
         Simulations of what was held out and of the other recordings, one per length of windows.
     refined
         How the refinement by trajectories went; None without one.
+    effects
+        Effects that the model lacks and the recordings show; standard errors include their bias.
 
     A study that is read from a file has the result and the findings alone.
     """
@@ -80,6 +83,7 @@ class Study:
     attribution: Attribution | None = None
     rollouts: tuple[Rollout, ...] = ()
     refined: Refined | None = None
+    effects: tuple[MissingEffect, ...] = ()
 
     def __repr__(self) -> str:
         codes = ", ".join(finding.code for finding in self.findings) or "none"
@@ -206,6 +210,7 @@ def identify(
         concluded.validations,
         cutoffs,
         concluded.attribution,
+        effects=concluded.effects,
         refined=fits.refined,
     )
     if not options.rollout and not options.refine:

@@ -71,7 +71,8 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     leverages = np.empty((n_blocks, root.shape[1], root.shape[0]))
     weight, trace = np.empty((n_blocks, root.shape[0])), 0.0
     with one_blas_thread():
-        for b, (gram, score_b) in enumerate(zip(*block_scores(information, estimate), strict=True)):
+        grams, scores = block_scores(information, estimate)
+        for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
             leverage, axes = np.linalg.eigh(gram)
             leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
             score = axes.T @ score_b
@@ -84,7 +85,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
     typical = float(np.median(freedom[determined])) if determined.any() else 1.0
-    common = common_growth(information, estimate, moves, trace, typical)
+    common = common_growth(information, estimate, moves, grams, trace, typical)
     parts = np.sqrt(common.factor) * moves @ root.T
     scatter = BlockScatter.of(parts, freedom, common.variance)
     variance = np.maximum(

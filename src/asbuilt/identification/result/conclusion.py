@@ -20,6 +20,7 @@ from asbuilt.identification.bodies.consistency import (
 )
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
+from asbuilt.identification.errors.omitted_bias import OmittedBias
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
@@ -56,6 +57,7 @@ def conclude(
     uncertainty: Uncertainty | None = None,
     nonlinear: NonlinearErrors | None = None,
     delayed: DelayErrors | None = None,
+    omitted: OmittedBias | None = None,
     validation: Sequence[TorqueMetrics] = (),
     notes: Sequence[str] = (),
     findings: Sequence[Finding] = (),
@@ -78,6 +80,8 @@ def conclude(
         Errors of nonlinear parameters fitted along.
     delayed
         Errors of delays of the torque.
+    omitted
+        Bias by effects that the model lacks.
     validation
         Torque metrics on validation data.
     notes, findings
@@ -88,6 +92,11 @@ def conclude(
     base, design = information.base, design_values(model, information.base)
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
     further_errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
+    free_errors = list(further_errors)
+    if omitted is not None:
+        further_errors.append(omitted.covariance)
+        free_errors.append(omitted.free_covariance)
+        notes = (*notes, omitted.sentence)
     if further_errors:
         beside, scatter = np.sum(further_errors, axis=0), uncertainty.scatter
         uncertainty = replace(
@@ -138,7 +147,7 @@ def conclude(
             else free_values(
                 information,
                 design,
-                np.sum(further_errors, axis=0) if further_errors else None,
+                np.sum(free_errors, axis=0) if free_errors else None,
             )
         ),
         **({"provenance": ()} | further),

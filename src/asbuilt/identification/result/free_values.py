@@ -57,7 +57,7 @@ def free_values(
     toward
         Values (p,) of directions that the recordings leave undetermined; NaN counts as zero.
     beside
-        Covariance (p, p) that fitted nonlinear parameters of drive terms add.
+        Covariance (p, p) that other things add, such as fitted nonlinear parameters.
     """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
     uncertainty = block_uncertainty(information, fitted)

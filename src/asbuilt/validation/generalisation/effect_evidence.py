@@ -10,14 +10,14 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import AsbuiltError
 from asbuilt.identification.errors.block_scatter import student_probability, widening
-from asbuilt.identification.errors.delay_errors import DelayColumns
+from asbuilt.identification.errors.delay_errors import DelayColumns, DelaySolution
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
@@ -45,7 +45,7 @@ def own_evidence(
     time blocks (`block_uncertainty`), with its own degrees of freedom: the correlation of residuals
     differs from column to column. Empty if the term cannot be fitted.
     """
-    drive = _with_term(result.base.drive, key, joints)
+    drive = with_term(result.base.drive, key, joints)
     try:
         base = find_base_parameters(result.model, drive)
         information = accumulate_stream(result.model, base, training, block_seconds=block_seconds)
@@ -72,7 +72,7 @@ def own_evidence(
     return found
 
 
-def _with_term(drive: DriveSet, key: str, joints: Sequence[int]) -> DriveSet:
+def with_term(drive: DriveSet, key: str, joints: Sequence[int]) -> DriveSet:
     """Return drive terms with one more at these joints, beside those that have it already."""
     described = next((term for term in drive.terms if term.key == key), None)
     numbers = {k + 1 for k in joints} | set(() if described is None else described.joints or ())
@@ -92,8 +92,27 @@ def tilt_evidence(
 
     The gravity torques of the links by design under `g x axis` are two further columns of the fit.
     """
-    model, estimate = result.model, _plain_fit(result, training, block_seconds)
-    plan = RegressorPlan.of(model, result.base.drive, result.base.columns, spare_rows=len(axes) + 1)
+    estimate = _plain_fit(result, training, block_seconds)
+    solved = fitted_tilt(result.model, result.base, estimate, training, axes, block_seconds)
+    if not np.all(np.isfinite(solved.covariance)):
+        return 0.0
+    tilt = solved.increments
+    return float(np.sqrt(tilt @ np.linalg.solve(solved.covariance, tilt)))
+
+
+def fitted_tilt(
+    model: RobotModel,
+    base: BaseParameters,
+    estimate: Estimate,
+    training: Sequence[Samples],
+    axes: Array,
+    block_seconds: float | None = None,
+) -> DelaySolution:
+    """Return the base tilt about `axes` (2, 3) beside an estimate, in rad.
+
+    Its errors are from the scatter of time blocks that the tilt leaves.
+    """
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=len(axes) + 1)
     tilted = [model.with_gravity(np.cross(model.gravity, axis)) for axis in axes]
     root, m = estimate.solution.inverse_root, len(axes)
     parts: list[tuple[Array, Array, Array, Array, Array]] = []
@@ -115,11 +134,8 @@ def tilt_evidence(
     grams, across, own, by_beta, by_tilt = map(np.array, zip(*parts, strict=True))
     blocks = DelayColumns(grams, across, own, by_beta, by_tilt, place, root)
     shares = np.eye(m)[None]
-    tilt = blocks.solve(shares).increments
-    covariance = _fitted(blocks, tilt).solve(shares).covariance
-    if not np.all(np.isfinite(covariance)):
-        return 0.0
-    return float(np.sqrt(tilt @ np.linalg.solve(covariance, tilt)))
+    tilt = blocks.solve(shares)
+    return replace(tilt, covariance=_fitted(blocks, tilt.increments).solve(shares).covariance)
 
 
 def _gravity(models: Sequence[RobotModel], q: Array) -> Callable[[slice], list[Array]]:

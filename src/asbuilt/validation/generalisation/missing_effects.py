@@ -1,4 +1,4 @@
-"""Effects that the model lacks and the recording shows: their bias is in no standard error."""
+"""Effects that the model lacks and the recording shows."""
 
 from __future__ import annotations
 
@@ -121,33 +121,38 @@ def confirmed_effects(
 
 
 def missing_effect_findings(
-    result: IdentificationResult,
-    training: Sequence[Samples],
-    *,
-    block_seconds: float | None = None,
+    result: IdentificationResult, found: Sequence[MissingEffect], *, counted: bool
 ) -> tuple[Finding, ...]:
-    """Return one finding that names the effects which the model lacks."""
-    found = confirmed_effects(result, training, block_seconds=block_seconds)
+    """Return one finding that names the effects which the model lacks.
+
+    `counted` says that the standard errors include their bias.
+    """
     if not found:
         return ()
-    joints: dict[str, list[str]] = {}
-    for each in found:
-        joints.setdefault(each.effect, []).extend([each.joint] if each.joint else [])
-    named = joined(
-        [f"{effect} at {joined(at, 4)}" if at else effect for effect, at in joints.items()]
-    )
-    terms = [effect for effect in joints if effect != TILT]
+    keys = dict.fromkeys(each.effect for each in found)
+    terms = [effect for effect in keys if effect != TILT]
     settings: Mapping[str, str] = (
         {"drive": ",".join((*result.base.drive.specifications, *terms))} if terms else {}
-    ) | ({"mounting": "estimate"} if TILT in joints else {})
+    ) | ({"mounting": "estimate"} if TILT in keys else {})
     return (
         Finding(
             "missing_effect",
             "warning",
-            f"The recording shows effects that the model lacks: {named} (up to"
-            f" {found[0].sigmas:.1f} standard errors). Standard errors do not hold their bias",
+            f"The recording shows effects that the model lacks: {effects_text(found)} (up to"
+            f" {found[0].sigmas:.1f} standard errors). Standard errors"
+            f" {'include' if counted else 'do not hold'} their bias",
             Cure("identify with them", dict(settings)),
         ),
+    )
+
+
+def effects_text(effects: Sequence[MissingEffect]) -> str:
+    """Return effects and their joints as text."""
+    joints: dict[str, list[str]] = {}
+    for each in effects:
+        joints.setdefault(each.effect, []).extend([each.joint] if each.joint else [])
+    return joined(
+        [f"{effect} at {joined(at, 4)}" if at else effect for effect, at in joints.items()]
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from asbuilt.description.locking import lock_findings
 from asbuilt.errors import IdentifiabilityError
@@ -13,6 +14,7 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.drives.drive_choice import DriveChoice
 from asbuilt.identification.errors.position_noise_bias import position_noise_findings
+from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.as_built_parameters import mass_findings
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
@@ -21,12 +23,17 @@ from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.consolidation import consolidated
+from asbuilt.validation.generalisation.effect_bias import with_effects
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
-from asbuilt.validation.generalisation.missing_effects import missing_effect_findings
+from asbuilt.validation.generalisation.missing_effects import (
+    MissingEffect,
+    confirmed_effects,
+    missing_effect_findings,
+)
 from asbuilt.validation.log_errors.findings import log_error_findings
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
@@ -46,6 +53,7 @@ class Conclusion:
     training: tuple[Validation, ...]
     validations: tuple[Validation, ...]
     attribution: Attribution | None
+    effects: tuple[MissingEffect, ...]
 
 
 def conclude_study(
@@ -72,9 +80,10 @@ def conclude_study(
     trained, validations = fits.predicted(fits.samples), fits.judged(held)
     cause_data, too_short = _cause_data(fits, options.block_seconds)
     train, train_cad = _together(fits, trained)
-    result = fits.final.concluded(
-        train,
-        validations[0].metrics_cad if validations else train_cad,
+    conclude = partial(
+        Fit.concluded,
+        train=train,
+        cad=validations[0].metrics_cad if validations else train_cad,
         validation=[each.metrics_as_built for each in validations],
         cause_data=cause_data,
         chain=prepared.chain,
@@ -87,6 +96,10 @@ def conclude_study(
         corrected=() if fits.mounting is None else ("mounting",),
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
+    result = conclude(fits.final)
+    effects = confirmed_effects(result, fits.samples, block_seconds=options.block_seconds)
+    final = with_effects(fits.final, fits.samples, effects, block_seconds=options.block_seconds)
+    result = result if final.omitted is None else conclude(final)
     attribution = None if cause_data is None else attribute(result)
     findings = (
         *result.findings,
@@ -99,10 +112,11 @@ def conclude_study(
         *repetition_findings(prepared.training, held),
         *too_short,
         *_model_findings(fits, result, attribution, options),
+        *missing_effect_findings(result, effects, counted=final.omitted is not None),
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )
-    return Conclusion(result, consolidated(findings), trained, validations, attribution)
+    return Conclusion(result, consolidated(findings), trained, validations, attribution, effects)
 
 
 def _validation_findings(
@@ -153,7 +167,6 @@ def _model_findings(
         *servo_findings(fits.model, fits.servo, fits.choice.drive),
         *refinement_findings(fits.refined),
         *cause_findings(attribution),
-        *missing_effect_findings(result, fits.samples, block_seconds=options.block_seconds),
     )
 
 

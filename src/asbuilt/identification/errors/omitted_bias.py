@@ -1,0 +1,86 @@
+"""Bias of the estimates by effects that the recording shows and the model lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.identification.information.estimate import Estimate
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OmittedBias:
+    """Hold the second moment (p, p) of the bias of base parameters, which adds to covariances.
+
+    A bias b with covariance V has `b b^T + V`. An estimate that is not corrected for a known bias
+    has the root of the sum of squares of bias and standard error as its error (Phillips, Eberhardt
+    and Parry, J. Research NIST 102, 1997; JCGM 100:2008, F.2.4.5).
+
+    Parameters
+    ----------
+    covariance
+        Of the estimate, such as a regularised one.
+    free_covariance
+        Of weighted least squares.
+    effects
+        The effects, as text.
+    """
+
+    covariance: Array
+    free_covariance: Array
+    effects: str
+
+    @property
+    def sentence(self) -> str:
+        """A note that names the effects."""
+        return f"Standard errors include the bias by effects that the model lacks: {self.effects}."
+
+
+def follow_effects(covariance: Array, n_base: int) -> Array:
+    """Return the change (p, m) of p parameters per unit of m omitted effects.
+
+    `covariance` (p + m, p + m) is that of a fit with the effects, their places last. Without them
+    the parameters change by `(W^T W)^-1 W^T C = -V_pm V_mm^-1` (Frisch and Waugh, Econometrica 1,
+    1933). Undetermined effects change nothing.
+
+    >>> C = np.linalg.inv(np.array([[2.0, 1.0], [1.0, 3.0]]))
+    >>> follow_effects(C, 1).round(3).tolist()
+    [[0.5]]
+    """
+    own, across = covariance[n_base:, n_base:], covariance[:n_base, n_base:]
+    return np.asarray(-across @ np.linalg.pinv(own, hermitian=True))
+
+
+def shrunken(effects: Array, covariance: Array, size: Array) -> tuple[Array, Array]:
+    """Return mean (m,) and covariance (m, m) of effects of a usual size (m,).
+
+    Effects are normal around zero with that standard deviation: `T (V + T)^-1 g` and `V - V (V +
+    T)^-1 V` for the estimates g with covariance V (Efron and Morris, J. American Statistical
+    Association 70, 1975).
+
+    >>> mean, spread = shrunken(np.array([2.0]), np.array([[1.0]]), np.array([1.0]))
+    >>> mean.tolist(), spread.tolist()
+    ([1.0], [[0.5]])
+    """
+    T = np.diag(size**2)
+    gain = covariance @ np.linalg.pinv(covariance + T, hermitian=True)
+    spread = covariance - gain @ covariance
+    return np.asarray(effects - gain @ effects), np.asarray(0.5 * (spread + spread.T))
+
+
+def moved_estimate(
+    information: SquareRootInformation, estimate: Estimate, covariance: Array
+) -> Array:
+    """Return the second moment (p, p) of an estimate's bias for that of weighted least squares.
+
+    An estimate with inverse root S moves by `S S^T W^T W b` where weighted least squares moves by
+    b: regularisation holds part of it back.
+    """
+    seen = (estimate.information or information).stacked(estimate.weights)[:-1, :-1]
+    root = estimate.solution.inverse_root
+    T = root @ (seen @ root).T @ seen
+    moved = T @ covariance @ T.T
+    return np.asarray(0.5 * (moved + moved.T))
