@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,8 @@ from asbuilt.tables import Column, Table
 
 SHOWN = 12
 """Base parameters that `repr` lists."""
+KEPT = 8
+"""Robots and drives whose base parameters are kept, for the logs of one robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +131,11 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     >>> base.standard[0].name, base.standard[0].status
     ('Ixx1', 'unidentifiable')
     """
+    return _found(model, drive)
+
+
+@lru_cache(maxsize=KEPT)
+def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
     with one_blas_thread():
         found = structural_regrouping(model, drive)
         numeric = observation_rank(model, drive)
