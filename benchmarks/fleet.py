@@ -15,7 +15,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +25,21 @@ import polars as pl
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.executor import open_workers
+from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import as_recordings
-from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment.signal.preparation import stream_samples
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.information.square_root_information import (
+    accumulate,
+    accumulate_stream,
+)
 from asbuilt.workflow.fleet.identification import FleetIdentification, fleet_identify
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.fleet.reduction.add import FleetOptions, add_logs
+from asbuilt.workflow.fleet.reduction.log_task import LogTask, reduce_log
 from asbuilt.workflow.prepare import prepare
-from factor import DRIVE, ROBOT, recorded
+from factor import DRIVE, N_SAMPLES, ROBOT, recorded
 
 READING = ReadingOptions(torque_source="sensor")
 ARMS, DAYS, HOURS, RATE = 1000, 365, 1.0, 100.0
@@ -41,45 +49,57 @@ TASK = 0.01
 
 
 def write_log(path: Path, seconds: float, rate: float, seed: int) -> Path:
-    """Write a log of positions and torques as Parquet."""
+    """Write a log of positions and torques as Parquet, or as CSV if its name says so."""
     model, drive, rng = load_robot(ROBOT), DriveSet.parse(DRIVE), np.random.default_rng(seed)
     q, _, _, tau = recorded(model, drive, np.arange(0.0, seconds, 1.0 / rate) + seed, rng)
     columns = {"t": np.arange(len(q)) / rate}
     columns |= {f"q_{k}": q[:, k] for k in range(7)} | {f"tau_{k}": tau[:, k] for k in range(7)}
-    pl.DataFrame(columns).write_parquet(path)
+    frame = pl.DataFrame(columns)
+    frame.write_csv(path) if path.suffix == ".csv" else frame.write_parquet(path)
     return path
 
 
-def speed(folder: Path, minutes: float, rate: float) -> dict[str, float]:
-    """Return CPU seconds of a log, reading included, and of its parts in memory."""
-    log = write_log(folder / f"{rate:.0f}_2026-03-01.parquet", 60.0 * minutes, rate, 1)
-    ledger = folder / f"ledger{rate:.0f}"
+def speed(folder: Path, minutes: float, rate: float, kind: str = "parquet") -> dict[str, float]:
+    """Return CPU seconds of a log, reading included, and of its parts.
 
-    def added() -> float:
-        began = _cpu()
-        add_logs(ledger, ROBOT, [log], robot_id=f"R{began}", reading=READING, fleet=HERE)
-        return _cpu() - began
+    Both shares divide the time of regressor and factor in memory by the time of all: of the samples
+    that are left after thinning, and of the samples as logged.
+    """
+    log = write_log(folder / f"{rate:.0f}_2026-03-01.{kind}", 60.0 * minutes, rate, 1)
+    ledger = folder / f"ledger{rate:.0f}{kind}"
+
+    def added() -> None:
+        add_logs(ledger, ROBOT, [log], robot_id=f"R{_cpu()}", reading=READING, fleet=HERE)
 
     added()
-    whole = min(added() for _ in range(3))
+    whole = _least(added)
     settings = next(iter(open_ledger(str(ledger)).types().values()))
-    read = as_recordings(settings.model, [log], READING)
-
-    def timed() -> tuple[float, float]:
-        began = _cpu()
-        training = prepare(settings.model, read, chain=settings.chain, checked=False).training
-        middle = _cpu()
-        accumulate_stream(settings.model, settings.base, training, threads=1)
-        return middle - began, _cpu() - middle
-
-    chain, factor = (min(each) for each in zip(*(timed() for _ in range(3)), strict=True))
+    model, base = settings.model, settings.base
+    stream = RecordingStream(log, model, READING)
+    reading = _least(lambda: sum(chunk.n_samples for chunk in stream))
+    check = _least(lambda: check_recording(model, stream.head))
+    chunks = list(stream)
+    chain = _least(lambda: sum(part.n_samples for part in stream_samples(chunks, settings.chain)))
+    training = prepare(model, [stream], chain=settings.chain, checked=False).training
+    factor = _least(lambda: accumulate_stream(model, base, training, threads=1))
+    q, qd, qdd, tau = recorded(
+        model, settings.drive, np.arange(N_SAMPLES) / rate, np.random.default_rng(1)
+    )
+    t = np.arange(N_SAMPLES) / rate
+    plain = Samples(t, q, qd, qdd, tau, rate=rate, joint_names=model.joint_names)
+    each = _least(lambda: accumulate(model, base, plain, threads=1)) / N_SAMPLES
     entry = next(ledger.rglob("*.parquet")).stat().st_size
     n = 60.0 * minutes * rate
     return {
         "samples": n,
         "microseconds_per_sample": 1e6 * whole / n,
-        "factor_share": factor / whole,
-        "chain_and_factor_share": (chain + factor) / whole,
+        "of_reading": 1e6 * reading / n,
+        "of_check": 1e6 * check / n,
+        "of_chain": 1e6 * chain / n,
+        "of_factor": 1e6 * factor / n,
+        "factor_of_logged_samples": 1e6 * each,
+        "speed_beside_logged_samples": each * n / whole,
+        "speed_beside_thinned_samples": factor / whole,
         "log_mb": log.stat().st_size / 1e6,
         "entry_mb": entry / 1e6,
         "entry_of_raw_hour": entry / (3600.0 * rate * COLUMNS * 8),
@@ -87,6 +107,16 @@ def speed(folder: Path, minutes: float, rate: float) -> dict[str, float]:
 
 
 HERE = FleetOptions(workers=0)
+
+
+def _least(work: Callable[[], object], times: int = 3) -> float:
+    """Return the CPU seconds of the fastest of some runs."""
+    found = []
+    for _ in range(times):
+        began = _cpu()
+        work()
+        found.append(_cpu() - began)
+    return min(found)
 
 
 def _cpu() -> float:
@@ -98,14 +128,19 @@ def _cpu() -> float:
 
 
 def memory(folder: Path, minutes: float, rate: float) -> dict[str, float]:
-    """Return the peak memory [MB] of a worker that reduces a log, its reader apart."""
+    """Return the peak memory [MB] of a worker that reduces a log, its reader apart.
+
+    `ru_maxrss` would count what this process held when it started the worker.
+    """
     log = write_log(folder / f"m{rate:.0f}_2026-03-01.parquet", 60.0 * minutes, rate, 1)
     code = (
-        "import resource, sys; from asbuilt import add_logs, FleetOptions, ReadingOptions;"
+        "import re, sys; from pathlib import Path;"
+        " from asbuilt import add_logs, FleetOptions, ReadingOptions;"
         f" done = add_logs(sys.argv[1], {ROBOT!r}, [sys.argv[2]], robot_id='R',"
         " reading=ReadingOptions(torque_source='sensor'), fleet=FleetOptions(workers=0));"
         " assert done.added, done.failed;"
-        " print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+        " said = Path('/proc/self/status').read_text();"
+        " print(int(re.search(r'VmHWM:\\s+(\\d+)', said)[1]) / 1024)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(folder / f"m{rate:.0f}"), str(log)],
@@ -117,29 +152,42 @@ def memory(folder: Path, minutes: float, rate: float) -> dict[str, float]:
 
 
 def workers(folder: Path, count: int = 12) -> dict[str, float]:
-    """Return wall seconds of many logs on one and on two workers, start of the pool excluded."""
+    """Return wall and CPU seconds of many logs on one and on two workers, without their start.
+
+    The CPU time of a worker tells what is lost to the work itself from what another process took.
+    """
     logs = [
-        write_log(folder / f"w_2026-04-{k:02d}.parquet", 600.0, 100.0, k)
+        str(write_log(folder / f"w_2026-04-{k:02d}.parquet", 600.0, 100.0, k))
         for k in range(1, count + 1)
     ]
+    add_logs(folder / "w", ROBOT, logs[:1], robot_id="R", reading=READING, fleet=HERE)
+    path = next(iter(open_ledger(str(folder / "w")).types().values())).path
     found = {}
     for n in (1, 2):
-        times: list[float] = []
+        tasks = [
+            LogTask(str(folder / "w"), path, f"{n}-{k}", (Path(log),), READING)
+            for k, log in enumerate(logs)
+        ]
+        warm = [replace(task, robot_id=f"warm {n}-{k}") for k, task in enumerate(tasks[: 2 * n])]
+        with open_workers(n) as pool:
+            list(pool.run(costly, warm))
+            began = time.monotonic()
+            spent = [done.result or 0.0 for done in pool.run(costly, tasks)]
+            found[f"seconds_{n}"] = time.monotonic() - began
+        found[f"cpu_per_task_{n}"] = sum(spent) / count
+    return found | {
+        "ratio": found["seconds_1"] / found["seconds_2"],
+        "ratio_if_cores_are_free": 2.0 * found["cpu_per_task_1"] / found["cpu_per_task_2"],
+    }
 
-        def note(what: str, fraction: float, times: list[float] = times) -> None:
-            times.append(time.monotonic())
 
-        add_logs(
-            folder / f"by{n}",
-            ROBOT,
-            logs,
-            robot_id="R",
-            reading=READING,
-            fleet=FleetOptions(workers=n),
-            progress=note,
-        )
-        found[f"seconds_{n}"] = times[-1] - times[0]
-    return found | {"ratio": found["seconds_1"] / found["seconds_2"]}
+def costly(task: LogTask) -> float:
+    """Reduce a log; return the CPU seconds of its process."""
+    began = _cpu()
+    report = reduce_log(task)
+    if not report.added:
+        raise RuntimeError(report.problem)
+    return _cpu() - began
 
 
 def rest(seconds: float) -> int:
@@ -168,6 +216,8 @@ def on_dask(tasks: int) -> dict[str, float]:
 
 def identify(folder: Path) -> dict[str, float]:
     """Return milliseconds of `fleet identify` from 12 logs, by method."""
+    logs = sorted(folder.glob("w_*.parquet"))
+    add_logs(folder / "by2", ROBOT, logs, robot_id="R", reading=READING, fleet=HERE)
     found = {}
     for method in ("wls", "consistent"):
         options = FleetIdentification(method=method)
@@ -221,7 +271,8 @@ def results(tasks: int, minutes: float) -> Iterator[tuple[str, dict[str, float]]
         folder = Path(name)
         slow = speed(folder, minutes, 100.0)
         yield "an hour at 100 Hz", slow
-        yield "at 1 kHz", speed(folder, minutes / 5.0, 1000.0)
+        yield "an hour at 100 Hz, CSV", speed(folder, minutes, 100.0, "csv")
+        yield "at 1 kHz", speed(folder, minutes, 1000.0)
         yield "memory, 100 Hz", memory(folder, minutes, 100.0)
         yield "memory, 1 kHz", memory(folder, minutes, 1000.0)
         yield "one and two workers", workers(folder)

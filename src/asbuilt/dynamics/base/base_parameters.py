@@ -22,6 +22,8 @@ from asbuilt.tables import Column, Table
 
 SHOWN = 12
 """Base parameters that `repr` lists."""
+KEPT = 16
+"""Robots and drives whose base parameters are kept, for the logs of one robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +134,7 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     return _found(model, drive)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=KEPT)
 def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
     """Return the base parameters, remembered for the robots used last."""
     with one_blas_thread():

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.bridging import bridged
@@ -62,8 +62,8 @@ def uniform_segments(
     n = recording.n_samples
     kept = (
         np.isfinite(recording.t)
-        & np.all(np.isfinite(recording.q), axis=1)
-        & np.all(np.isfinite(recording.tau), axis=1)
+        & ~_any_of(~np.isfinite(recording.q))
+        & ~_any_of(~np.isfinite(recording.tau))
     )
     notes: list[str] = []
     if not kept.all():
@@ -165,10 +165,11 @@ def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.i
 
     A second torque channel that changes makes a sample new.
     """
-    rows = [recording.q[index], recording.tau[index]] + (
-        [recording.qd[index]] if recording.qd is not None else []
+    part = _slice_of(index)
+    rows = [recording.q[part], recording.tau[part]] + (
+        [recording.qd[part]] if recording.qd is not None else []
     )
-    rows += [each[index] for key, each in recording.extra.items() if key.startswith("tau")]
+    rows += [each[part] for key, each in recording.extra.items() if key.startswith("tau")]
     changed = np.concatenate([[True], np.any([_changes(row) for row in rows], axis=0)])
     if changed.all():
         return index
@@ -179,11 +180,23 @@ def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.i
     return kept_rows
 
 
-def _changes(values: Array) -> NDArray[np.bool_]:
+def _slice_of(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return increasing indices as a slice, which copies nothing, if none is left out."""
+    if rows.size and rows[-1] - rows[0] + 1 == rows.size:
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
+
+
+def _changes(values: Array) -> Mask:
     """Return which rows of (N,) or (N, m) differ from the row before, (N - 1,)."""
-    steps = np.diff(values, axis=0) != 0.0
-    changed: NDArray[np.bool_] = steps if steps.ndim == 1 else np.any(steps, axis=1)
-    return changed
+    steps = values[1:] != values[:-1]
+    return steps if steps.ndim == 1 else _any_of(steps)
+
+
+def _any_of(mask: Mask) -> Mask:
+    """Return which rows of (N, m) hold a true value; by columns, as rows are short."""
+    found: Mask = np.any(np.ascontiguousarray(mask.T), axis=0)
+    return found
 
 
 def _logged_rate(t: Array, period: float) -> float:
@@ -244,14 +257,14 @@ def _ticks(t: Array, period: float) -> Array | None:
 
 
 def _taken(recording: Recording, rows: NDArray[np.intp], rate: float) -> UniformSegment:
-    t0 = recording.t[rows[0]]
+    part, t0 = _slice_of(rows), recording.t[rows[0]]
     even = t0 + np.arange(rows.size) / rate
-    t = even if np.max(np.abs(even - recording.t[rows])) < 0.5 / rate else recording.t[rows]
-    qd = None if recording.qd is None else recording.qd[rows]
+    t = even if np.max(np.abs(even - recording.t[part])) < 0.5 / rate else recording.t[part]
+    qd = None if recording.qd is None else recording.qd[part]
     return UniformSegment(
         t,
-        recording.q[rows],
-        recording.tau[rows],
+        recording.q[part],
+        recording.tau[part],
         qd if qd is not None and np.all(np.isfinite(qd)) else None,
     )
 

@@ -26,6 +26,9 @@ LARGEST = 1e12
 SMALL = 20e6
 """Bytes below which a file is read whole, whatever it declares; its reader limits the memory."""
 
+AHEAD = 32e6
+"""Memory [bytes] that is read at once: each reading unpacks the pages before its first row too."""
+
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
     """Open a Parquet file lazily, with the names of its numeric and of its other columns.
@@ -78,17 +81,21 @@ def _frames(
     missing = [name for name in columns if name not in names]
     if missing:
         raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
-    for begin in range(0, rows, chunk_samples):
+    chunks = max(1, int(AHEAD / (8 * max(len(columns), 1) * chunk_samples)))
+    for begin in range(0, rows, chunks * chunk_samples):
         try:
-            frame = scan_parquet(path)[0].select(columns).slice(begin, chunk_samples).collect()
+            frame = (
+                scan_parquet(path)[0].select(columns).slice(begin, chunks * chunk_samples).collect()
+            )
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
             raise RecordingError(
-                f"{path}: rows {begin + 1} to {begin + chunk_samples} cannot be read"
-                f" ({reason(error)})",
+                f"{path}: rows {begin + 1} to {min(begin + chunks * chunk_samples, rows)} cannot be"
+                f" read ({reason(error)})",
                 cure=Cure("record or export it again"),
                 file=str(path),
             ) from None
-        yield begin, frame
+        for first in range(0, frame.height, chunk_samples):
+            yield begin + first, frame.slice(first, chunk_samples)
 
 
 def parquet_header(path: Path) -> LogTable:

@@ -14,6 +14,10 @@ FEWEST = 30
 """Differences other than 0 from which a step is measured."""
 NEAR = 0.1
 """Distance from a multiple of the step, in steps, that counts as on it."""
+ROUGHLY = 0.45
+"""Share of a few of the differences that a step must have to be looked at more closely."""
+FEW = 1_000
+"""Differences that this share is taken from; its standard error is 0.015."""
 ON_MULTIPLES = 0.6
 """Share of the differences on multiples of a step; of a continuous signal it is about 0.2.
 
@@ -57,7 +61,10 @@ def _step(differences: Array) -> float:
     size = size[size > 1e-9 * max(float(size.max()), np.finfo(np.float64).tiny)]
     if size.size < FEWEST:
         return 0.0
+    few = size[:: max(1, size.size // FEW)]
     for candidate in _candidates(size):
+        if _share(few, _refined(few, candidate)) < ROUGHLY:
+            continue
         step = _refined(size, candidate)
         if step > 0.0 and _share(size, step) >= ON_MULTIPLES:
             return 0.0 if _constant_speed(size / step, n_all) else step
