@@ -49,7 +49,7 @@ def rollout_html(
 ) -> str:
     """Return the page of rollouts as text."""
     longest = rollouts[-1]
-    logs = sorted({recording_name(source) for source, *_ in longest.by_motion})
+    logs = sorted({recording_name(each.source) for each in longest.by_recording})
     moving = "" if animation is None else _address(animation)
     return page(
         "rollout.html.j2",
