@@ -268,8 +268,7 @@ class _Search:
 
     def _named(self, own: Candidate, value: float | None, solved: Chosen, share: float) -> LogError:
         joint = None if own.joint is None else self._result.model.joint_names[own.joint]
-        relative = own.kind in ("clock", "scale") and value is not None
-        factor = 1.0 + value if relative else 1.0
+        factor = 1.0 if value is None or own.kind not in ("clock", "scale") else 1.0 + value
         return LogError(
             own.kind,
             joint,
