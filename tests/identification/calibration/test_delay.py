@@ -133,7 +133,7 @@ def test_the_error_on_other_motions_falls_if_and_only_if_torques_are_late():
     ],
 )
 def test_delays_that_friction_imitates_are_not_applied(shared, robot, log, held_out):
-    """Applied, they raised the error on other motions by up to a quarter."""
+    """Applied, they change the error on other recordings by -18 to +27 %."""
     model = load_robot(str(shared / "models" / robot))
     sheet = shared / "data" / "airbot" / "sheet.toml" if "airbot" in log else None
     options = {} if sheet is None else {"sheet": sheet}

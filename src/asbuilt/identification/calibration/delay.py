@@ -29,7 +29,7 @@ SIGNIFICANT = 2.0
 CERTAIN = 5e-3
 """Standard error [s] below which that is enough; else it must also predict other motions better.
 
-On every log of four real robots friction lags by 20 to 55 ms, and the delays that rest on what is
+On the logs of four real robots friction lags by 13 to 75 ms, and the delays that rest on what is
 left have standard errors of 8 to 60 ms, against 0.1 to 3 ms of virtual robots whose torque is late.
 """
 UNEQUAL = 1e-3
