@@ -14,6 +14,7 @@ import pytest
 
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError, RecordingError
+from asbuilt.experiment.logs.options import servo_numbers
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.recordings import fitted_recordings
 
@@ -180,3 +181,19 @@ def test_recordings_of_real_robots_with_commands_are_read():
     assert log.rate == pytest.approx(200.0, rel=1e-3)
     arm = read_recording(data / "so101_sage" / "multisine")
     assert arm.command.shape == arm.q.shape == (6000, 6)
+
+
+def test_limits_of_the_goal_are_read_from_sheet_and_options(tmp_path):
+    folder = sage(tmp_path / "motion")
+    sheet = {"torque_source": "command", "goal_acceleration": [39.0, "none"]}
+    recording = read_recording(folder, sheet=sheet)
+    assert recording.servo.goal_acceleration == (39.0, np.inf)
+    assert recording.servo.goal_speed == (np.inf, np.inf)
+    unsaid = read_recording(folder, torque_source="command")
+    assert np.isnan(unsaid.servo.goal_acceleration).all()
+    options = {"goal_acceleration": servo_numbers("20, auto"), "goal_speed": (3.0,)}
+    given = read_recording(folder, sheet=sheet, **options)
+    assert given.servo.goal_acceleration[0] == 20.0
+    assert np.isnan(given.servo.goal_acceleration[1])
+    assert given.servo.goal_speed == (3.0, 3.0)
+    assert servo_numbers("none, auto")[0] == np.inf
