@@ -2,13 +2,16 @@
 
 200 virtual recordings of each robot, torque noise of several colours; of real bodies 100, some near
 what is possible.
+
+    python benchmarks/coverage.py [REPETITIONS] [--workers N | --scheduler tcp://...]
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +23,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.executor import open_workers
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
@@ -201,35 +205,52 @@ def off_from_cad(
     )
 
 
-def measure(repetitions: int | None = None) -> dict[str, float | str]:
-    """Return shares."""
-    numbers: dict[str, float | str] = {}
-    for robot, correlation_time, duration in STUDIES:
+def measure(
+    repetitions: int | None = None, workers: int | None = 0, scheduler: str | None = None
+) -> dict[str, float | str]:
+    """Return shares; each study is a task, whose numbers do not depend on who does it."""
+    tasks = [(False, False, study) for study in STUDIES]
+    tasks += [(True, False, study) for study in STUDIES_OF_BODIES]
+    tasks += [(True, True, study) for study in STUDIES_OF_PULLS]
+    found: dict[int, dict[str, float | str]] = {}
+    with open_workers(workers, scheduler) as pool:
+        for done in pool.run(_measured, [(k, repetitions, *task) for k, task in enumerate(tasks)]):
+            if done.result is None:
+                raise RuntimeError(f"{done.task}: {done.problem}")
+            found[done.task[0]] = done.result
+    return {name: value for k in sorted(found) for name, value in found[k].items()}
+
+
+def _measured(task: tuple[int, int | None, bool, bool, tuple[Any, ...]]) -> dict[str, float | str]:
+    """Return the shares of one study."""
+    _, repetitions, of_bodies, pulled, study = task
+    if not of_bodies:
+        robot, correlation_time, duration = study
         found = coverage(robot, correlation_time, duration, repetitions or REPETITIONS)
-        numbers |= {
-            f"{robot}_{correlation_time:g}s_noise_{duration:g}s{kind}": value
-            for kind, value in found.items()
-        }
-    for pulled, (robot, correlation_time, duration, noise, edge) in [
-        (False, s) for s in STUDIES_OF_BODIES
-    ] + [(True, s) for s in STUDIES_OF_PULLS]:
-        found = coverage_of_bodies(
-            robot,
-            correlation_time,
-            duration,
-            noise,
-            edge,
-            repetitions or REPETITIONS_OF_BODIES,
-            pulled=pulled,
-        )
-        name = (
-            f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s"
-            f"_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
-        )
-        numbers |= {f"{name}{kind}": value for kind, value in found.items()}
-    return numbers
+        name = f"{robot}_{correlation_time:g}s_noise_{duration:g}s"
+        return {f"{name}{kind}": value for kind, value in found.items()}
+    robot, correlation_time, duration, noise, edge = study
+    found = coverage_of_bodies(
+        robot,
+        correlation_time,
+        duration,
+        noise,
+        edge,
+        repetitions or REPETITIONS_OF_BODIES,
+        pulled=pulled,
+    )
+    name = (
+        f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s"
+        f"_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
+    )
+    return {f"{name}{kind}": value for kind, value in found.items()}
 
 
 if __name__ == "__main__":
-    for name, value in measure(int(sys.argv[1]) if len(sys.argv) > 1 else None).items():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("repetitions", type=int, nargs="?")
+    parser.add_argument("--workers", type=int, default=0)
+    parser.add_argument("--scheduler")
+    given = parser.parse_args()
+    for name, value in measure(given.repetitions, given.workers, given.scheduler).items():
         print(f"{name:<72} {value:.3f}")
