@@ -5,6 +5,8 @@ what is possible. Then 40 of each of three robots where the model is right and w
 something: Stribeck friction of half the Coulomb friction, a base tilt of 0.5 degrees, torque 5 ms
 late, positions in 4096 counts at 1 kHz. There either the fault is named in 95 % of cases, or
 intervals hold 93 %.
+
+    python benchmarks/coverage.py [PART...] [--workers N | --scheduler tcp://...]
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +27,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.executor import open_workers
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
@@ -224,17 +228,45 @@ def coverage_of_fault(robot: str, fault: str, repetitions: int) -> dict[str, flo
     }
 
 
-def measure(repetitions: int | None = None, parts: Sequence[str] = PARTS) -> dict[str, float | str]:
-    """Return shares."""
-    numbers: dict[str, float | str] = {}
-    for robot, correlation_time, duration in STUDIES if "noise" in parts else ():
-        found = coverage(robot, correlation_time, duration, repetitions or REPETITIONS)
-        numbers |= _reported(f"{robot}_{correlation_time:g}s_noise_{duration:g}s", found)
-    fits = [(False, s) for s in STUDIES_OF_BODIES] + [(True, s) for s in STUDIES_OF_PULLS]
-    for pulled, (robot, correlation_time, duration, noise, edge) in (
-        fits if "bodies" in parts else ()
-    ):
-        found = coverage_of_bodies(
+def measure(
+    repetitions: int | None = None,
+    parts: Sequence[str] = PARTS,
+    workers: int | None = 0,
+    scheduler: str | None = None,
+) -> dict[str, float | str]:
+    """Return shares; each study is a task, whose numbers do not depend on who does it."""
+    studies: dict[str, list[tuple[Any, ...]]] = {
+        "noise": list(STUDIES),
+        "bodies": [(False, *each) for each in STUDIES_OF_BODIES]
+        + [(True, *each) for each in STUDIES_OF_PULLS],
+        "faults": [(robot, fault) for robot in ROBOTS_WITH_FAULTS for fault in faults.FAULTS],
+    }
+    tasks = [(part, study) for part in PARTS if part in parts for study in studies[part]]
+    found: dict[int, dict[str, float]] = {}
+    with open_workers(workers, scheduler) as pool:
+        for done in pool.run(_measured, [(k, repetitions, *task) for k, task in enumerate(tasks)]):
+            if done.result is None:
+                raise RuntimeError(f"{done.task}: {done.problem}")
+            found[done.task[0]] = done.result
+            for name, value in done.result.items():
+                print(f"{name:<72} {value:.3f}", flush=True)
+    return {name: value for k in sorted(found) for name, value in found[k].items()}
+
+
+def _measured(task: tuple[int, int | None, str, tuple[Any, ...]]) -> dict[str, float]:
+    """Return the shares of one study."""
+    _, repetitions, part, study = task
+    if part == "noise":
+        robot, correlation_time, duration = study
+        name = f"{robot}_{correlation_time:g}s_noise_{duration:g}s"
+        shares = coverage(robot, correlation_time, duration, repetitions or REPETITIONS)
+    elif part == "bodies":
+        pulled, robot, correlation_time, duration, noise, edge = study
+        name = (
+            f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s"
+            f"_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
+        )
+        shares = coverage_of_bodies(
             robot,
             correlation_time,
             duration,
@@ -243,29 +275,18 @@ def measure(repetitions: int | None = None, parts: Sequence[str] = PARTS) -> dic
             repetitions or REPETITIONS_OF_BODIES,
             pulled=pulled,
         )
-        name = (
-            f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s"
-            f"_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
-        )
-        numbers |= _reported(name, found)
-    for robot in ROBOTS_WITH_FAULTS if "faults" in parts else ():
-        for fault in faults.FAULTS:
-            found = coverage_of_fault(robot, fault, repetitions or REPETITIONS_OF_FAULTS)
-            numbers |= _reported(f"{robot}_with_fault_{fault}", found)
-    return numbers
-
-
-def _reported(name: str, found: dict[str, float]) -> dict[str, float]:
-    """Return shares under their full names, and print them."""
-    numbers = {f"{name}{kind}": value for kind, value in found.items()}
-    for each, value in numbers.items():
-        print(f"{each:<72} {value:.3f}", flush=True)
-    return numbers
+    else:
+        robot, fault = study
+        name = f"{robot}_with_fault_{fault}"
+        shares = coverage_of_fault(robot, fault, repetitions or REPETITIONS_OF_FAULTS)
+    return {f"{name}{kind}": value for kind, value in shares.items()}
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repetitions", type=int, help="recordings of each study")
+    parser.add_argument("--workers", type=int, default=0)
+    parser.add_argument("--scheduler")
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)} (default: all)")
-    arguments = parser.parse_args()
-    measure(arguments.repetitions, arguments.parts or PARTS)
+    given = parser.parse_args()
+    measure(given.repetitions, given.parts or PARTS, given.workers, given.scheduler)

@@ -53,7 +53,7 @@ def compiled(watched: WatchedRobot, tmp_path_factory: pytest.TempPathFactory) ->
 def test_observer_in_c_is_that_in_python(watched: WatchedRobot, compiled: Compiled) -> None:
     log, n = watched.quiet[0], watched.model.n_joints
     observer = Observer(watched.result, thresholds=watched.thresholds)
-    state = np.zeros(6 * n + 1)
+    state = np.zeros(8 * n + 1)
     compiled.call("observer_restart", pointer(state))
     threshold, last, alarms = np.zeros(n), -np.inf, 0
     for t, q, qd, quiet in zip(log.t[:600], log.q, log.qd, log.tau, strict=False):

@@ -68,6 +68,20 @@ def excite(
         Path,
         typer.Option("--out", metavar="FILE", help="motion file to write", callback=writable_file),
     ] = Path("motion.csv"),
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", min=1, help="processes that search (default: one a core)"
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers search too, such as tcp://10.0.0.1:8786",
+        ),
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="draw the motion on a page beside it")
     ] = True,
@@ -94,6 +108,13 @@ def excite(
     if rate > HIGHEST_RATE:
         raise UsageError(f"--rate must be at most {HIGHEST_RATE:g} Hz, got {rate:g}")
     asked = given_options(options)
+    if workers is not None and scheduler is not None:
+        raise UsageError(
+            "--workers and --scheduler exclude each other; start as many Dask workers as you want"
+        )
+    if static is not None:
+        spread = {"--workers": workers is not None, "--scheduler": scheduler is not None}
+        refuse_idle("static poses are found by one process", spread)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
     model, base, prior = described_robot(robot, fixed_base=fixed_base), None, None
     if given is not None:
@@ -128,7 +149,15 @@ def excite(
             best = f": best {state.best:.2f}" if math.isfinite(state.best) else ""
             show(state.phase + best, state.share)
 
-        design = design_motion(model, options, base=base, prior=prior, progress=progress)
+        design = design_motion(
+            model,
+            options,
+            base=base,
+            prior=prior,
+            cores=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
         files = written(design.motion)
         if report:
             files["report"] = write_motion_report(out.with_suffix(".html"), design)

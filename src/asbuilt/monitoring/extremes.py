@@ -19,8 +19,10 @@ from asbuilt.findings import Cure
 
 FEWEST_BLOCKS = 20
 """Blocks below which no tail is fitted."""
-TAIL = 0.15
-"""Share of the blocks that is taken as the tail, if these are at least `FEWEST_PEAKS`."""
+TAILS = (0.15, 0.05, 0.02)
+"""Shares of the blocks that are taken as the tail, if these are at least `FEWEST_PEAKS`; the
+highest level counts. Rare states, such as reversals, may have errors of their own, whose tail a
+fit to many blocks does not see."""
 FEWEST_PEAKS = 10
 SHAPE_ERROR = 0.1
 """Standard deviation of the prior of the shape about 0, the exponential tail: torque errors are
@@ -92,7 +94,14 @@ def tail_level(maxima: Array, probability: float) -> Tail:
             value=blocks,
             expected=FEWEST_BLOCKS,
         )
-    peaks = min(max(round(TAIL * blocks), FEWEST_PEAKS), blocks // 2)
+    counts = {min(max(round(share * blocks), FEWEST_PEAKS), blocks // 2) for share in TAILS}
+    found = [_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
+    return max(found, key=lambda tail: tail.level)
+
+
+def _tail(x: Array, peaks: int, probability: float) -> Tail:
+    """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
+    blocks = len(x)
     start = float(0.5 * (x[-peaks - 1] + x[-peaks]))
     excess = np.maximum(x[-peaks:] - start, 0.0)
     mean = float(excess.mean())

@@ -14,7 +14,8 @@ class Observed:
     """Hold what an observer makes of a log.
 
     `t` (N,), `share` (N,) the weight of each new sample, -1 where the observer starts anew; `q`,
-    `qd`, the lagged acceleration `qdd` and the `residual` (N, n) [N m or N].
+    `qd`, the lagged acceleration `qdd`, the lagged size `step` of the steps of torque between
+    samples, and the `residual` (N, n) [N m or N].
     """
 
     t: Array
@@ -22,6 +23,7 @@ class Observed:
     q: Array
     qd: Array
     qdd: Array
+    step: Array
     residual: Array
 
     def select(self, keep: Mask) -> Observed:
@@ -31,5 +33,8 @@ class Observed:
         return Observed(
             self.t[keep],
             share[keep],
-            *(np.ascontiguousarray(x[keep]) for x in (self.q, self.qd, self.qdd, self.residual)),
+            *(
+                np.ascontiguousarray(x[keep])
+                for x in (self.q, self.qd, self.qdd, self.step, self.residual)
+            ),
         )

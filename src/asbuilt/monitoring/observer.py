@@ -90,9 +90,9 @@ class Observer:
         """Forget everything but the robot."""
         n = self.model.n_joints
         self._t: float | None = None
-        self._p = self._s = np.zeros(n)
+        self._p = self._s = self._tau = np.zeros(n)
         self.q, self.qd, self.qdd = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.residual, self.slowness = np.zeros(n), np.zeros(n)
+        self.residual, self.slowness, self.step = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def update(self, t: float, q: ArrayLike, tau: ArrayLike, qd: ArrayLike | None = None) -> Array:
         """Return the residual (n,) [N m or N] after one more sample.
@@ -142,7 +142,7 @@ class Observer:
                 cure=Cure("give it thresholds", call="set_thresholds"),
             )
         error = self.model_error.std(self.q[None], self.qd[None], self.qdd[None])[0]
-        return self.thresholds.limit(self.qd, self.slowness, error)
+        return self.thresholds.limit(self.qd, self.slowness, self.step, error)
 
     @property
     def alarms(self) -> tuple[str, ...]:
@@ -187,10 +187,11 @@ class Observer:
         share = np.where(steps > 0.0, -np.expm1(-self._gain * np.maximum(steps, 0.0)), -1.0)
         p, b = self._balance.of_samples(q, v)
         s, inner = tau + b, np.maximum(steps, 1e-12)[1:, None]
-        external, rate = np.zeros(q.shape), np.zeros(q.shape)
+        external, rate, step = np.zeros(q.shape), np.zeros(q.shape), np.zeros(q.shape)
         external[1:] = np.diff(p, axis=0) / inner - 0.5 * (s[1:] + s[:-1])
         rate[1:] = np.diff(v, axis=0) / inner
-        return Observed(times, share, q, v, lagged(share, rate), lagged(share, external))
+        step[1:] = np.abs(np.diff(tau, axis=0))
+        return Observed(times, share, q, v, *(lagged(share, x) for x in (rate, step, external)))
 
     def pole(self, steps: Array) -> float:
         """Return the pole [rad/s] of the causal filter for positive time steps [s]."""
@@ -218,10 +219,11 @@ class Observer:
             external = (p - self._p) / dt - 0.5 * (s + self._s)
             self.residual = self.residual + share * (external - self.residual)
             self.qdd = self.qdd + share * ((qd - self.qd) / dt - self.qdd)
+            self.step = self.step + share * (np.abs(tau - self._tau) - self.step)
             if self.thresholds is not None:
                 slow = self.thresholds.slow(self.qd, qd)
                 self.slowness = self.slowness + share * (slow - self.slowness)
-        self._p, self._s, self.q, self.qd = p, s, q, qd
+        self._p, self._s, self._tau, self.q, self.qd = p, s, tau, q, qd
 
 
 def _check_finite(t: Array, **given: Array) -> None:

@@ -28,10 +28,13 @@ LEAST = 1e-3
 class Thresholds:
     """Hold limits of the residual of each joint: `level S`, with the scale S of its errors.
 
-    `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + model^2`: a constant, friction near standstill with
-    phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples, growth with
-    speed, and the standard deviation of the predicted torque that follows from the covariance of
-    the parameters.
+    `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + (step u)^2 + model^2`: a constant, friction near
+    standstill with phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples,
+    growth with speed, torque that changes between samples with u the lagged `|tau_k - tau_(k-1)|`,
+    and the standard deviation of the predicted torque that follows from the covariance of the
+    parameters. A torque that steps at an unknown time between two samples has a
+    mean there that is off by up to half of the step, with standard deviation `1 / sqrt(12)` of it,
+    which is about what `step` becomes.
 
     Parameters
     ----------
@@ -43,9 +46,9 @@ class Thresholds:
         Rate for the whole robot; a joint has its n-th part.
     block_seconds, hours
         Length of the blocks, and of the recordings that the levels were set on.
-    level, floor, slow_part, fast, slow_speed, top_speed
-        Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`],
-        and speeds [rad/s or m/s], the last the highest met.
+    level, floor, slow_part, fast, step_part, slow_speed, top_speed
+        Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`, a
+        share for `step_part`], and speeds [rad/s or m/s], the last the highest met.
     tails
         The tail of each joint's block maxima.
     held_out
@@ -63,6 +66,7 @@ class Thresholds:
     floor: Array
     slow_part: Array
     fast: Array
+    step_part: Array
     slow_speed: Array
     top_speed: Array
     tails: tuple[Tail, ...] = ()
@@ -84,22 +88,21 @@ class Thresholds:
         """Return `exp(-(v / slow_speed)^2)` of the least speed v between two samples (n,)."""
         return np.asarray(np.exp(-((least_speed(before, qd) / self.slow_speed) ** 2)))
 
-    def scale(self, qd: Array, slowness: Array, model: Array) -> Array:
-        """Return the scale S, shape of `qd`, from lagged slowness and the model's error."""
-        return np.asarray(
-            np.sqrt(self.floor**2 + self.slow_part**2 * slowness + (self.fast * qd) ** 2 + model**2)
-        )
+    def scale(self, qd: Array, slowness: Array, step: Array, model: Array) -> Array:
+        """Return the scale S, shape of `qd`, from lagged slowness and steps, and model error."""
+        square = self.floor**2 + self.slow_part**2 * slowness + (self.fast * qd) ** 2
+        return np.asarray(np.sqrt(square + (self.step_part * step) ** 2 + model**2))
 
-    def limit(self, qd: Array, slowness: Array, model: Array) -> Array:
+    def limit(self, qd: Array, slowness: Array, step: Array, model: Array) -> Array:
         """Return the largest residual that is no alarm [N m or N], shape of `qd`."""
-        return self.level * self.scale(qd, slowness, model)
+        return self.level * self.scale(qd, slowness, step, model)
 
     def of_log(self, observed: Observed, error: ModelError) -> tuple[Array, Array]:
         """Return scale and limit (N, n) along a log."""
         before = velocities_before(observed)
         slowness = lagged(observed.share, self.slow(before, observed.qd))
         model = error.std(observed.q, observed.qd, observed.qdd)
-        scale = self.scale(observed.qd, slowness, model)
+        scale = self.scale(observed.qd, slowness, observed.step, model)
         return scale, self.level * scale
 
 
@@ -179,7 +182,8 @@ def set_thresholds(
             floor=np.array([part[0] for part in parts]),
             slow_part=np.array([part[1] for part in parts]),
             fast=np.array([part[2] for part in parts]),
-            slow_speed=np.array([part[3] for part in parts]),
+            step_part=np.array([part[3] for part in parts]),
+            slow_speed=np.array([part[4] for part in parts]),
             top_speed=np.max([np.abs(log.qd).max(axis=0) for log in logs], axis=0),
             held_out=held_out,
             filtered=filtered,
@@ -217,24 +221,25 @@ def _quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
 
 def _parts(
     j: int, logs: Sequence[Observed], models: Sequence[Array], kept: Sequence[Mask]
-) -> tuple[float, float, float, float]:
-    """Return floor, slow part, fast part and slow speed of joint j.
+) -> tuple[float, float, float, float, float]:
+    """Return floor, slow part, fast part, step part and slow speed of joint j.
 
     They are the most likely for normal residuals of these scales, by weighted least squares of the
     squares.
     """
-    squares, speed, model = (
+    squares, speed, model, step = (
         np.concatenate([each[keep] for each, keep in zip(arrays, kept, strict=True)])
         for arrays in (
             [log.residual[:, j] ** 2 for log in logs],
             [log.qd[:, j] for log in logs],
             [each[:, j] ** 2 for each in models],
+            [log.step[:, j] for log in logs],
         )
     )
     top = float(np.abs(speed).max()) or 1.0
     least = [least_speed(velocities_before(log), log.qd) for log in logs]
     floor = LEAST**2 * float(squares.mean()) + np.finfo(float).tiny
-    best: tuple[float, tuple[float, float, float, float]] | None = None
+    best: tuple[float, tuple[float, float, float, float, float]] | None = None
     for part in SLOW:
         slow_speed = part * top
         slowness = np.concatenate(
@@ -243,7 +248,7 @@ def _parts(
                 for log, speed_of, keep in zip(logs, least, kept, strict=True)
             ]
         )
-        columns = np.column_stack([np.ones(len(squares)), slowness, (speed / top) ** 2])
+        columns = np.column_stack([np.ones(len(squares)), slowness, (speed / top) ** 2, step**2])
         variance = np.full(len(squares), max(float(squares.mean()), floor))
         for _ in range(6):
             found = _non_negative(columns / variance[:, None], (squares - model) / variance)
@@ -251,7 +256,7 @@ def _parts(
             variance = columns @ found + model
         cost = float(np.sum(np.log(variance) + squares / variance))
         if best is None or cost < best[0]:
-            a, b, c = np.sqrt(found)
-            best = cost, (float(a), float(b), float(c / top), slow_speed)
+            a, b, c, d = np.sqrt(found).tolist()
+            best = cost, (a, b, c / top, d, slow_speed)
     assert best is not None
     return best[1]

@@ -108,6 +108,19 @@ def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm) -> None
     assert not np.array_equal(other.motion.coefficients, design.motion.coefficients)
 
 
+def test_a_cluster_finds_the_same_motion(arm) -> None:
+    distributed = pytest.importorskip("distributed")
+    model, _ = arm
+    options = replace(QUICK, starts=24, time_limit=600.0)
+    alone = design_motion(model, options, cores=1, with_bound=False)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        helped = design_motion(model, options, with_bound=False, scheduler=address)
+    assert np.array_equal(alone.motion.coefficients, helped.motion.coefficients)
+
+
 @pytest.mark.parametrize(
     ("parametrisation", "size"), [("bspline", 9), ("quintic", 6), ("point-to-point", 7)]
 )

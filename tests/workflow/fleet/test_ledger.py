@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
+from asbuilt.errors import IdentifiabilityError, RecordingError, ResultError, UsageError
 from asbuilt.workflow.fleet.identification import FleetIdentification, fleet_identify
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.fleet.overview import fleet_overview
@@ -166,6 +166,9 @@ def test_other_folders_and_versions_are_refused(logs: list[Path], tmp_path: Path
     mark.write_text(mark.read_text().replace('"format_version": 1', '"format_version": 9'))
     with pytest.raises(ResultError, match="format version 9, this program reads 1"):
         fleet_overview(tmp_path / "ledger")
+    mark.write_text(mark.read_text().replace("asbuilt fleet ledger", "table of another program"))
+    with pytest.raises(ResultError, match="of another program, with format 'table of another"):
+        fleet_overview(tmp_path / "ledger")
 
 
 def test_a_log_of_another_robot_is_named(logs: list[Path], tmp_path: Path) -> None:
@@ -181,9 +184,14 @@ def test_two_types_under_one_identity_are_refused(logs: list[Path], tmp_path: Pa
     ledger = tmp_path / "ledger"
     add(ledger, logs[:1])
     heavier = MODEL.with_gravity(np.array([0.0, 0.0, -9.0]))
+    before = content_of(ledger)
+    with pytest.raises(RecordingError, match="in the ledger, not a"):
+        add_logs(ledger, heavier, logs[1:2], robot_id="R1", fleet=HERE)
+    assert content_of(ledger) == before
+    add_logs(ledger, heavier, logs[2:3], robot_id="R2", fleet=HERE)
     done = add_logs(ledger, heavier, logs[1:2], robot_id="R1", fleet=HERE)
     assert "in the ledger, not a" in str(done.failed[0].problem)
-    assert len(fleet_overview(ledger).robots) == 1
+    assert len(fleet_overview(ledger).robots) == 2
 
 
 def test_clocks_that_run_back_are_named(logs: list[Path], tmp_path: Path) -> None:

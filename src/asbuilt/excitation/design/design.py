@@ -28,6 +28,7 @@ def design_motion(
     constraints: Sequence[StateConstraint] = (),
     with_bound: bool = True,
     cores: int | None = None,
+    scheduler: str | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> Design:
     """Return the most informative motion that several local searches find within the limits.
@@ -49,7 +50,11 @@ def design_motion(
     with_bound
         Whether to bound the information of all motions, for `Design.d_efficiency`.
     cores
-        Number of processor cores; by default all.
+        Number of processes that search, this one included; by default one for each core. The
+        motion is the same for any number unless the time limit ends the search.
+    scheduler
+        Address of a Dask scheduler, such as `tcp://10.0.0.1:8786`, whose workers search besides
+        this process.
     progress
         Called with the state of the search.
 
@@ -86,5 +91,6 @@ def design_motion(
         constraints=(*kept, *constraints),
         with_bound=with_bound,
         cores=cores,
+        scheduler=scheduler,
         progress=progress,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,7 +19,7 @@ from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.design.designed_motion import Design, describe_design, position_of
 from asbuilt.excitation.design.multistart import Deadline, SearchProgress, search_all
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.process_pool import ProcessPool
+from asbuilt.excitation.design.process_pool import open_pool
 from asbuilt.excitation.design.program import Objective
 from asbuilt.excitation.design.search import DesignSearch, Task
 from asbuilt.excitation.information.criteria import criterion_of
@@ -69,6 +68,7 @@ def design_fixed(
     constraints: Sequence[StateConstraint] = (),
     with_bound: bool = True,
     cores: int | None = None,
+    scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> Design:
     """Return the best motion that several local searches find; parameters of `design_motion`."""
@@ -90,7 +90,7 @@ def design_fixed(
     search = DesignSearch(model, objective, options, family, tuple(constraints), deadline)
     others = (cores or available_cores()) - 1 if options.starts >= BUDGET.pool_from else 0
     bound = family_bound = None
-    with one_blas_thread(), closing(ProcessPool(search.search, others)) as pool:
+    with one_blas_thread(), open_pool(search.search, others, scheduler) as pool:
         if with_bound:
             bound, family_bound = design_bounds(model, information, options, family, progress)
         candidates = search.run(pool, progress)

@@ -15,7 +15,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.excitation.design.interior_point import Optimum
-from asbuilt.excitation.design.process_pool import ProcessPool
+from asbuilt.excitation.design.process_pool import Pool
 
 Task = TypeVar("Task")
 
@@ -77,14 +77,14 @@ class Deadline:
         self._stopped.set()
 
     def __reduce__(self) -> tuple[Callable[[float, float], Deadline], tuple[float, float]]:
-        """Pickle the end; processes of one machine share the clock, but not a later `stop`."""
-        return Deadline.begun_at, (self._begin, self.seconds)
+        """Pickle the start by the clock of the day, which machines share, but no later `stop`."""
+        return Deadline.begun_at, (time.time() - self.elapsed, self.seconds)
 
     @classmethod
     def begun_at(cls, begin: float, seconds: float) -> Deadline:
-        """Return the deadline that started at clock time `begin`."""
+        """Return the deadline that started at the time `begin` since 1970 [s]."""
         deadline = cls(seconds)
-        deadline._begin = begin
+        deadline._begin -= max(time.time() - begin, 0.0)
         return deadline
 
     def __call__(self) -> bool:
@@ -97,10 +97,10 @@ def search_all(
     search: Callable[[Task], Candidate],
     deadline: Deadline,
     *,
-    pool: ProcessPool[Task, Candidate] | None = None,
+    pool: Pool[Task, Candidate] | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> list[Candidate]:
-    """Return the candidates of all tasks, searched here and in a process pool, best first.
+    """Return the candidates of all tasks, searched here and in a pool, best first.
 
     A keyboard interrupt or the deadline ends the searches early and keeps their results. Each
     search must check the deadline itself; the first one starts even after the deadline. The order

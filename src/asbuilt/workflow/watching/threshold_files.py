@@ -47,7 +47,7 @@ def read_thresholds(path: str | os.PathLike[str]) -> Thresholds:
             f"{path}: the thresholds are damaged: {problem}", cure=again, file=str(path)
         ) from None
     n = len(found.joint_names)
-    for name in ("level", "floor", "slow_part", "fast", "slow_speed", "top_speed"):
+    for name in ("level", "floor", "slow_part", "fast", "step_part", "slow_speed", "top_speed"):
         values = getattr(found, name)
         if values.shape != (n,) or not np.all(np.isfinite(values) & (values >= 0.0)):
             raise ResultError(

@@ -241,13 +241,20 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
 def _check_mark(root: str, store: Store) -> None:
     try:
         mark = json.loads(store.read(MARK))
-        version = mark["format_version"] if mark["format"] == FORMAT else None
+        written, version = mark["format"], mark["format_version"]
     except (OSError, ValueError, KeyError, TypeError) as problem:
         raise ResultError(
             f"{root} is not a ledger: {MARK} is damaged ({type(problem).__name__})",
             cure=Cure(f"restore {MARK} from that of another ledger of the same version"),
             file=root,
         ) from problem
+    if written != FORMAT:
+        raise ResultError(
+            f"{root} is not a ledger: its {MARK} is of another program, with format {written!r}"
+            f" instead of {FORMAT!r}",
+            cure=Cure("give the folder or URL of a ledger, or a new one"),
+            file=root,
+        )
     if version != FORMAT_VERSION:
         raise ResultError(
             f"the ledger {root} has format version {version}, this program reads {FORMAT_VERSION}",

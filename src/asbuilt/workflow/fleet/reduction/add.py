@@ -19,7 +19,7 @@ from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
 from asbuilt.workflow.fleet.reduction.first_settings import choose_settings
-from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask, reduce_log
+from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask, check_type, reduce_log
 from asbuilt.workflow.fleet.suspicions import suspicions
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Progress
@@ -311,6 +311,7 @@ def _settings(
     for files in recordings:
         identity = _identity(robot_id, files[0])
         try:
+            check_type(ledger, identity, described, robot_type_of(described))
             outcome = next(workers.run(_chosen, [(described, files, reading, options)]))
             if outcome.result is None:
                 raise RecordingError(outcome.problem or "")

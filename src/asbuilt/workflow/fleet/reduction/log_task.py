@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
@@ -112,7 +111,8 @@ def reduce_log(task: LogTask) -> LogReport:
             same = name.source == digest[:DIGITS] and name.settings == settings.digest
             if same and ledger.is_sound(name):
                 return LogReport(log, task.robot_id, name)
-        _check_type(ledger, settings, task.robot_id, known)
+        if any(name.settings != settings.digest for name in known):
+            check_type(ledger, task.robot_id, settings.described, settings.robot_type)
         entry, findings = reduced_entry(task, settings, digest)
         name = ledger.append(entry)
     except AsbuiltError as problem:
@@ -259,20 +259,18 @@ def _settings(root: str, path: str) -> TypeSettings:
     return TypeSettings.from_content(_opened(root).store.read(path), path)
 
 
-def _check_type(
-    ledger: Ledger, settings: TypeSettings, robot_id: str, known: Sequence[EntryName]
-) -> None:
+def check_type(ledger: Ledger, robot_id: str, described: RobotModel, robot_type: str) -> None:
     """Raise `RecordingError` if the ledger has a robot of another type under this identity."""
-    others = {name.settings for name in known} - {settings.digest}
-    if not others:
+    known = {name.settings for name in ledger.names(robot_id)}
+    if not known:
         return
     types = {each.digest: each for each in ledger.all_settings()}
-    for digest in sorted(others & types.keys()):
+    for digest in sorted(known & types.keys()):
         other = types[digest]
-        if other.robot_type != settings.robot_type:
+        if other.robot_type != robot_type:
             raise RecordingError(
                 f"{robot_id} is a {other.model.name} ({other.robot_type}) in the ledger, not a"
-                f" {settings.model.name} ({settings.robot_type})",
+                f" {described.name} ({robot_type})",
                 cure=Cure("give each robot an identity of its own", {"id": "ID"}),
             )
 

@@ -56,8 +56,10 @@ typedef struct {{
     double residual[{n}];     /* external torque [N m or N] */
     double momentum[{n}];
     double torque[{n}];
+    double effort[{n}];       /* torque of the drives */
     double velocity[{n}];
     double acceleration[{n}]; /* lagged */
+    double step[{n}];         /* lagged size of the steps of torque between samples */
 {slow if limits else ""}    int started;
 }} {name}_observer;
 
@@ -91,8 +93,10 @@ def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> s
         observer->residual[j] = 0.0;
         observer->momentum[j] = 0.0;
         observer->torque[j] = 0.0;
+        observer->effort[j] = 0.0;
         observer->velocity[j] = 0.0;
         observer->acceleration[j] = 0.0;
+        observer->step[j] = 0.0;
 {slow_start}    }}
     observer->started = 0;
 }}
@@ -114,9 +118,11 @@ void {name}_observer_update({name}_observer *observer, double dt, const double q
             const double rate = (qd[j] - observer->velocity[j])/dt;
             observer->residual[j] += share*(external - observer->residual[j]);
             observer->acceleration[j] += share*(rate - observer->acceleration[j]);
+            observer->step[j] += share*(fabs(tau[j] - observer->effort[j]) - observer->step[j]);
 {slow}        }}
         observer->momentum[j] = momentum[j];
         observer->torque[j] = torque;
+        observer->effort[j] = tau[j];
         observer->velocity[j] = qd[j];
     }}
     observer->started = 1;
@@ -146,6 +152,7 @@ def _threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) 
         "floor_square": thresholds.floor**2,
         "slow_square": thresholds.slow_part**2,
         "fast": thresholds.fast,
+        "step_square": thresholds.step_part**2,
     }
     tables = "\n".join(_table(key, values) for key, values in parts.items())
     spread = ""
@@ -172,7 +179,8 @@ void {name}_observer_threshold(const {name}_observer *observer, const double q[{
 {{
 {regressor}    for (int j = 0; j < {n}; j++) {{
         const double speed = fast[j]*observer->velocity[j];
-        double square = floor_square[j] + slow_square[j]*observer->slowness[j] + speed*speed;
+        double square = floor_square[j] + slow_square[j]*observer->slowness[j] + speed*speed
+            + step_square[j]*observer->step[j]*observer->step[j];
 {spread}        threshold[j] = level[j]*sqrt(square);
     }}
 }}
