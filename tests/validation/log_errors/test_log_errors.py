@@ -17,7 +17,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.identify import identify_samples
-from asbuilt.validation.log_errors.findings import log_error_findings
+from asbuilt.validation.log_errors.log_error_text import log_error_findings
 from asbuilt.validation.log_errors.log_errors import LogError, log_errors
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

@@ -34,7 +34,7 @@ from asbuilt.validation.generalisation.missing_effects import (
     confirmed_effects,
     missing_effect_findings,
 )
-from asbuilt.validation.log_errors.findings import log_error_findings
+from asbuilt.validation.log_errors.log_error_text import log_error_findings
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import delay_findings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,19 +44,17 @@ def _findings(
     for each in found:
         if each.kind == "spring" and not springs:
             continue
-        code, message, cure = _SAID[each.kind](result, each)
+        said = _SAID[each.kind](result, each)
         explained = f"; that explains {100 * each.share:.0f} % of the squared residual"
-        yield Finding(code, "warning", message + explained, cure, joint=each.joint)
+        yield replace(said, message=said.message + explained, joint=each.joint)
 
 
-Said = tuple[str, str, Cure]
-
-
-def _clock(result: IdentificationResult, each: LogError) -> Said:
+def _clock(result: IdentificationResult, each: LogError) -> Finding:
     pace = "faster" if each.value > 0 else "slower"
     factor = f"{1.0 / (1.0 + each.value):.4g}"
-    return (
+    return Finding(
         "clock_wrong",
+        "warning",
         f"The torques are those of a motion {_percent(each)} {pace} than the clock of the log says:"
         " only then do masses act alike by gravity and by acceleration",
         Cure(
@@ -65,14 +64,15 @@ def _clock(result: IdentificationResult, each: LogError) -> Said:
     )
 
 
-def _zero(result: IdentificationResult, each: LogError) -> Said:
+def _zero(result: IdentificationResult, each: LogError) -> Finding:
     k = result.model.joint_names.index(str(each.joint))
     revolute = result.model.joints[k].is_revolute
     scale, unit = (np.rad2deg(1.0), "deg") if revolute else (1e3, "mm")
     zero = ["0"] * result.model.n_joints
     zero[k] = f"{each.value:.3g}"
-    return (
+    return Finding(
         "zero_position_wrong",
+        "warning",
         f"positions seem logged {_size(abs(scale * each.value), scale * each.std_error)} {unit} too"
         f" {'large' if each.value > 0 else 'small'}: the zero position is not the description's",
         Cure(
@@ -82,19 +82,21 @@ def _zero(result: IdentificationResult, each: LogError) -> Said:
     )
 
 
-def _scale(result: IdentificationResult, each: LogError) -> Said:
+def _scale(result: IdentificationResult, each: LogError) -> Finding:
     factor = _size(1.0 + each.value, each.std_error)
     if 1.0 + each.value < DEAD:
-        return (
+        return Finding(
             "torque_does_not_follow",
+            "warning",
             f"the torque is {factor} of what the motion and the other joints imply: it is another"
             " quantity, or its sensor fails",
             Cure("check the column and the sensor"),
         )
     gains = ["1"] * result.model.n_joints
     gains[result.model.joint_names.index(str(each.joint))] = f"{1.0 / (1.0 + each.value):.3g}"
-    return (
+    return Finding(
         "joint_gain_wrong",
+        "warning",
         f"the torque is {factor} of what its own motion and the other joints imply",
         Cure(
             "check its gain; to agree with the others, multiply it in a recording sheet by gains ="
@@ -103,39 +105,43 @@ def _scale(result: IdentificationResult, each: LogError) -> Said:
     )
 
 
-def _nonlinear(result: IdentificationResult, each: LogError) -> Said:
-    return (
+def _nonlinear(result: IdentificationResult, each: LogError) -> Finding:
+    return Finding(
         "torque_saturates",
+        "warning",
         f"the largest torques are {_percent(each)} smaller than the small ones imply: the drive or"
         " the sensor saturates, or a gain depends on the torque",
         Cure("record a gentler motion, or check the range of the sensor"),
     )
 
 
-def _drift(result: IdentificationResult, each: LogError) -> Said:
+def _drift(result: IdentificationResult, each: LogError) -> Finding:
     unit = torque_units(result.model)[result.model.joint_names.index(str(each.joint))]
-    return (
+    return Finding(
         "torque_drifts",
+        "warning",
         f"the torque drifts by {_size(each.value, each.std_error)} {unit} over the recording",
         Cure("let the sensor warm up and set it to zero, or identify shorter parts"),
     )
 
 
-def _warming(result: IdentificationResult, each: LogError) -> Said:
-    return (
+def _warming(result: IdentificationResult, each: LogError) -> Finding:
+    return Finding(
         "friction_drifts",
+        "warning",
         f"friction {'rises' if each.value > 0 else 'falls'} by {_percent(each)} over the recording,"
         " as that of a drive whose temperature changes; its parameters are those of the middle",
         Cure("record cold and warm robots separately"),
     )
 
 
-def _spring(result: IdentificationResult, each: LogError) -> Said:
+def _spring(result: IdentificationResult, each: LogError) -> Finding:
     joint = result.model.joint_names.index(str(each.joint)) + 1
     terms = ",".join((*result.base.drive.without(Spring.key).specifications, _spring_at(joint)))
     unit = "N m/rad" if result.model.joints[joint - 1].is_revolute else "N/m"
-    return (
+    return Finding(
         "spring_suspected",
+        "warning",
         f"a spring of {_size(each.value, each.std_error)} {unit} would"
         " explain the torque: cables or hoses that wind up there, or a sensor that drifts with"
         " position",
@@ -147,7 +153,7 @@ def _spring_at(joint: int) -> str:
     return f"{Spring.key}:joints={joint}"
 
 
-_SAID: dict[Kind, Callable[[IdentificationResult, LogError], Said]] = {
+_SAID: dict[Kind, Callable[[IdentificationResult, LogError], Finding]] = {
     "clock": _clock,
     "zero": _zero,
     "scale": _scale,
