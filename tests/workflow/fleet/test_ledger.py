@@ -17,6 +17,9 @@ import polars as pl
 import pytest
 
 from asbuilt.errors import IdentifiabilityError, RecordingError, ResultError, UsageError
+from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.identification.identify import identify_samples
 from asbuilt.workflow.fleet.identification import FleetIdentification, fleet_identify
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.fleet.overview import fleet_overview
@@ -57,7 +60,10 @@ def test_ledger_identifies_what_the_logs_identify(
     study = fleet_identify(filled, "R1", options=FleetIdentification(method=method))
     options = StudyOptions(chain=settings.chain, drive=settings.drive, method=method)
     expected = identify(MODEL, logs, options=options).result
-    for name in ("estimates", "std_errors", "sigma", "singular_values"):
+    samples = [prepare_samples(read_recording(log, model=MODEL), settings.chain) for log in logs]
+    scatter = identify_samples(MODEL, samples, drive=settings.drive, method=method)
+    np.testing.assert_allclose(study.result.std_errors, scatter.std_errors, rtol=1e-9)
+    for name in ("estimates", "sigma", "singular_values"):
         np.testing.assert_allclose(
             getattr(study.result, name), getattr(expected, name), rtol=1e-9, atol=1e-15
         )
