@@ -32,8 +32,8 @@ from asbuilt.workflow.servo import explained, settle_servo, with_delay_errors
 REPETITIONS = 20
 RATE, DURATION, DELAY = 100.0, 40.0, 0.008
 NOISES = (1e-3, 5e-3)
-"""Standard deviations of the noise of positions [rad]. With the smaller one, what remains of the
-friction at reversals in the band of the low-pass exceeds the errors by noise."""
+"""Standard deviations of the noise of positions [rad]. With the smaller one, errors that are
+not noise, perhaps of friction at reversals, count."""
 STEP = 1e-4
 """Step of the simulation [s]: MuJoCo's steps make torques early by half a step."""
 DRIVE = DriveSet.parse("armature,viscous,coulomb")

@@ -15,13 +15,13 @@ from asbuilt.identification.errors.uncertainty import MOST_LEVERAGE
 LEVEL = 0.05
 """Probability that chance adds a column, over all candidates (Bonferroni)."""
 SEPARATE = 1e-3
-"""Squared part of a column outside all others below which it is not told from them."""
+"""Squared part of a column outside all others below which it is not distinguished from them."""
 RIDGE = 1e-9
-"""Squared length added to columns of unit length, for those that a stretch alone excites."""
-STRETCHES = 5
-"""Stretches of time that are left out in turn."""
+"""Squared length added to columns of unit length, for those that one time alone excites."""
+PARTS = 5
+"""Parts of the time that are left out in turn."""
 SMALLEST_SHARE = 0.02
-"""Share of the squared residual below which a column is not told from what else is missing."""
+"""Share of the squared residual below which a column is not distinguished from what else is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class BlockEquations:
         Each time, of the columns that are significant beside those chosen (from time blocks, CR2 of
         Bell and McCaffrey, Survey Methodology 28, 2002), and whose value is `admitted`, the one is
         chosen that takes away most of the squared residual (forward selection: Efroymson 1960), if
-        it lowers that of stretches left out as well (by one standard error over the stretches).
+        it lowers that of times left out as well (by one standard error over these).
         """
         inside, found = list(range(self.n_own)), dict[int, Chosen]()
         while len(found) < most:
@@ -95,7 +95,7 @@ class BlockEquations:
     def together(self, columns: Sequence[int]) -> tuple[Chosen, ...]:
         """Return columns with their values in a fit with all of them, significant or not.
 
-        Those that cannot be told from the others are left out.
+        Those that cannot be distinguished from the others are left out.
         """
         inside = [*range(self.n_own), *(self.n_own + column for column in columns)]
         return tuple(
@@ -110,16 +110,16 @@ class BlockEquations:
         return float(self.squares.sum())
 
     def _predicts(self, inside: Sequence[int], column: int) -> bool:
-        """Return whether a column lowers the squared residual of stretches that are left out."""
+        """Return whether a column lowers the squared residual of times that are left out."""
         own, more = list(inside), [*inside, self.n_own + column]
-        edges = np.linspace(0, len(self.squares), STRETCHES + 1).round().astype(int)
-        if len(np.unique(edges)) <= STRETCHES:
+        edges = np.linspace(0, len(self.squares), PARTS + 1).round().astype(int)
+        if len(np.unique(edges)) <= PARTS:
             return True
         relief = [
             self._left_out(own, slice(a, b)) - self._left_out(more, slice(a, b))
             for a, b in pairwise(edges.tolist())
         ]
-        return bool(np.mean(relief) > np.std(relief, ddof=1) / np.sqrt(STRETCHES))
+        return bool(np.mean(relief) > np.std(relief, ddof=1) / np.sqrt(PARTS))
 
     def _left_out(self, inside: Sequence[int], out: slice) -> float:
         """Return the squared residual of blocks by a fit to all others, less that without it."""

@@ -36,8 +36,8 @@ MOST = 6
 """Columns chosen, of the log and of the model together."""
 SEARCHED = 20_000
 """Samples that are searched."""
-STRETCH = 10.0
-"""Length [s] of the stretches that are searched of longer recordings."""
+SPAN = 10.0
+"""Length [s] of the parts that are searched of longer recordings."""
 ROUNDS, SETTLED = 12, 1e-3
 """Gauss-Newton steps, and the step at which they have settled."""
 CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
@@ -340,11 +340,11 @@ def _matters(error: LogError, size: float) -> bool:
 
 
 def _thinned(training: Sequence[Samples]) -> list[Samples]:
-    """Return stretches of all recordings with at most about `SEARCHED` samples together."""
+    """Return parts of all recordings with at most about `SEARCHED` samples together."""
     n_samples = sum(samples.n_samples for samples in training)
     every = -(-n_samples // SEARCHED)
     if every <= 1:
         return list(training)
     return [
-        samples.select((samples.t - samples.t[0]) // STRETCH % every == 0.0) for samples in training
+        samples.select((samples.t - samples.t[0]) // SPAN % every == 0.0) for samples in training
     ]

@@ -45,8 +45,8 @@ def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
     """Return a finding and the gravity (3,) [m/s^2] if the torques show another direction.
 
     The torques without gravity and those of gravity along each axis are compared with the measured
-    ones, offset and friction taken out of all. The sign of friction tells a flipped torque from a
-    robot upside down; without friction the torque is taken as flipped.
+    ones, offset and friction taken out of all. The sign of friction distinguishes a flipped torque
+    from a robot upside down; without friction the torque is taken as flipped.
     """
     given = np.asarray(fit.model.gravity)
     if not given.any():
