@@ -21,7 +21,7 @@ RIDGE = 1e-9
 PARTS = 5
 """Parts of the time that are left out in turn."""
 SMALLEST_SHARE = 0.02
-"""Share of the squared residual below which a column is not distinguished from what else is missing."""
+"""Share of the squared residual below which a column is not distinguished from other effects."""
 
 
 @dataclass(frozen=True, slots=True)
