@@ -144,7 +144,9 @@ def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, m
 def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
     model, samples = bundled_robot("scara"), samples_of("scara", "power")
     found = [
-        identify(model, [samples], options=StudyOptions(drive=drive, method="consistent")).result
+        identify(
+            model, [samples], options=StudyOptions(drive=drive, method="consistent", holdout=None)
+        ).result
         for drive in (
             DriveSet.parse(NONLINEAR["power"][2]),
             settle_drive(model, [samples], DriveSet.parse(NONLINEAR["power"][2])).drive,

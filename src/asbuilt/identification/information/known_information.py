@@ -16,15 +16,19 @@ SINGULAR = 1e-10
 """Variance of a direction, relative to the largest, that is rounding."""
 
 
-def determined_directions(result: IdentificationResult) -> tuple[Array, Array, Array]:
+def determined_directions(
+    result: IdentificationResult, *, with_bias: bool = True
+) -> tuple[Array, Array, Array]:
     """Return scale (p,), variances (r,) and directions V (p, r) of the information of a result.
 
     `information = D V diag(1 / variances) V^T D`, D = diag(scale). The scale is one over the
     standard errors, zero for dropped and undetermined parameters. Directions beyond the rank of the
     result are left out if its covariance is singular there; that of estimates regularised toward
-    CAD is not.
+    CAD is not. Without bias the covariance is that of what scatters alone.
     """
     covariance = np.array(result.covariance)
+    if result.bias is not None and not with_bias:
+        covariance -= result.bias
     size = np.sqrt(np.diag(covariance))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     variances, directions = np.linalg.eigh(covariance * np.outer(scale, scale))

@@ -28,13 +28,14 @@ FAR_FROM_CAD = 1.5
 def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> StandardParameters:
     """Return the standard parameters closest to CAD within the standard errors of a result.
 
+    Those are the errors by scatter: that effects are missing is no reason to predict torques worse.
     If no physically consistent links have its torques, they are inconsistent, or, with `nearest`,
     the consistent ones with the least torque difference on the data used, joints weighted by
     their noise.
     """
     root = None
     if not any(parameter.dropped for parameter in result.parameters):
-        scale, variances, directions = determined_directions(result)
+        scale, variances, directions = determined_directions(result, with_bias=False)
         root = (directions / np.sqrt(variances)).T * scale
     return standard_parameters(
         result.model,

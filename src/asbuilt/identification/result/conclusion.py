@@ -141,6 +141,7 @@ def conclude(
         notes=(*estimate.notes, *notes),
         errors=uncertainty.basis,
         scatter=uncertainty.scatter,
+        bias=None if omitted is None else omitted.covariance,
         free=(
             None
             if estimate.method == "wls"

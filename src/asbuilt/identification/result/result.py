@@ -156,6 +156,8 @@ class IdentificationResult:
     trained
         Base parameters (p,) of the fit that `validation` is of, if `parameters` are of a further
         fit to everything; else None.
+    bias
+        Part (p, p) of the covariance by effects that the model lacks; None without one.
     """
 
     model: RobotModel
@@ -195,6 +197,7 @@ class IdentificationResult:
     scatter: BlockScatter | None = None
     corrected: tuple[str, ...] = ()
     trained: Array | None = None
+    bias: Array | None = None
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -217,6 +220,7 @@ class IdentificationResult:
             ("parameters", len(self.parameters)),
             ("free values", p if self.free is None else len(self.free.estimates)),
             ("trained values", p if self.trained is None else len(self.trained)),
+            ("rows of bias", p if self.bias is None or self.bias.shape == (p, p) else 0),
             ("block errors", p if self.scatter is None else self.scatter.moves.shape[1]),
         ):
             if count != p:
@@ -381,7 +385,7 @@ class IdentificationResult:
         """
         left_out = (
             *("covariance", "textbook_covariance", "singular_values", "cause_data"),
-            *("free", "scatter", "trained", "corrected"),
+            *("free", "scatter", "trained", "corrected", "bias"),
         )
         document = self._document()
         return {name: value for name, value in document.items() if name not in left_out}
