@@ -73,7 +73,8 @@ def _zero(result: IdentificationResult, each: LogError) -> Finding:
     return Finding(
         "zero_position_wrong",
         "warning",
-        f"positions seem logged {_size(abs(scale * each.value), scale * each.std_error)} {unit} too"
+        f"Positions of {each.joint} seem logged"
+        f" {_size(abs(scale * each.value), scale * each.std_error)} {unit} too"
         f" {'large' if each.value > 0 else 'small'}: the zero position is not the description's",
         Cure(
             "check the calibration of the joint, or correct it in a recording sheet:"
@@ -88,8 +89,8 @@ def _scale(result: IdentificationResult, each: LogError) -> Finding:
         return Finding(
             "torque_does_not_follow",
             "warning",
-            f"the torque is {factor} of what the motion and the other joints imply: it is another"
-            " quantity, or its sensor fails",
+            f"The torque of {each.joint} is {factor} of what the motion and the other joints imply:"
+            " it is another quantity, or its sensor fails",
             Cure("check the column and the sensor"),
         )
     gains = ["1"] * result.model.n_joints
@@ -97,7 +98,7 @@ def _scale(result: IdentificationResult, each: LogError) -> Finding:
     return Finding(
         "joint_gain_wrong",
         "warning",
-        f"the torque is {factor} of what its own motion and the other joints imply",
+        f"The torque of {each.joint} is {factor} of what its own motion and the other joints imply",
         Cure(
             "check its gain; to agree with the others, multiply it in a recording sheet by gains ="
             f" [{', '.join(gains)}]"
@@ -109,8 +110,8 @@ def _nonlinear(result: IdentificationResult, each: LogError) -> Finding:
     return Finding(
         "torque_saturates",
         "warning",
-        f"the largest torques are {_percent(each)} smaller than the small ones imply: the drive or"
-        " the sensor saturates, or a gain depends on the torque",
+        f"The largest torques of {each.joint} are {_percent(each)} smaller than the small ones"
+        " imply: the drive or the sensor saturates, or a gain depends on the torque",
         Cure("record a gentler motion, or check the range of the sensor"),
     )
 
@@ -120,7 +121,8 @@ def _drift(result: IdentificationResult, each: LogError) -> Finding:
     return Finding(
         "torque_drifts",
         "warning",
-        f"the torque drifts by {_size(each.value, each.std_error)} {unit} over the recording",
+        f"The torque of {each.joint} drifts by {_size(each.value, each.std_error)} {unit} over the"
+        " recording",
         Cure("let the sensor warm up and set it to zero, or identify shorter parts"),
     )
 
@@ -129,8 +131,9 @@ def _warming(result: IdentificationResult, each: LogError) -> Finding:
     return Finding(
         "friction_drifts",
         "warning",
-        f"friction {'rises' if each.value > 0 else 'falls'} by {_percent(each)} over the recording,"
-        " as that of a drive whose temperature changes; its parameters are those of the middle",
+        f"Friction of {each.joint} {'rises' if each.value > 0 else 'falls'} by {_percent(each)}"
+        " over the recording, as that of a drive whose temperature changes; its parameters are"
+        " those of the middle",
         Cure("record cold and warm robots separately"),
     )
 
@@ -142,7 +145,7 @@ def _spring(result: IdentificationResult, each: LogError) -> Finding:
     return Finding(
         "spring_suspected",
         "warning",
-        f"a spring of {_size(each.value, each.std_error)} {unit} would"
+        f"A spring of {_size(each.value, each.std_error)} {unit} at {each.joint} would"
         " explain the torque: cables or hoses that wind up there, or a sensor that drifts with"
         " position",
         Cure("if that can be, identify with the spring", {"drive": terms}),
