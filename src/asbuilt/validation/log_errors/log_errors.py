@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,7 +64,7 @@ BOUNDS: dict[Kind, Bounds] = {
     "nonlinear": Bounds(-0.8, 0.0, 0.05),
     "drift": Bounds(-np.inf, np.inf, 0.02),
     "warming": Bounds(-1.5, 1.5, 0.05),
-    "spring": Bounds(-np.inf, np.inf, 0.02),
+    "spring": Bounds(0.0, np.inf, 0.02),
 }
 """Own choices: what a robot in use can have; `drift` and `spring` in
 largest torques of the joint."""
@@ -100,7 +100,7 @@ def log_errors(
     (`BlockEquations.selected`). Their values are then found by Gauss-Newton steps, each about the
     log with the errors so far taken out. A clock that explains most is named alone, for then the
     other columns were those of wrong velocities; one that is off by a factor is looked for at
-    some factors.
+    some factors, and has to explain more than any other candidate.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def log_errors(
         return ()
     search = _Search(result, _thinned(training), block_seconds)
     pace = search.pace()
-    if pace is not None:
+    if pace is not None and pace.share > search.largest_share:
         return (pace,)
     found = search.chosen()
     if found and found[0].kind == "clock":
@@ -219,25 +219,39 @@ class _Search:
         after = self._residual(replace(nothing, clock=1.0 + error.value).of)
         return replace(error, share=1.0 - after / whole)
 
+    @cached_property
+    def _picked(self) -> tuple[Chosen, ...]:
+        columns, equations = self._first
+        return equations.selected(
+            MOST, lambda column, value: self._is_plausible(columns.candidates[column], value)
+        )
+
+    @property
+    def largest_share(self) -> float:
+        """Share of the squared residual that the first column chosen takes away."""
+        return max((each.share for each in self._picked), default=0.0)
+
     def chosen(self) -> list[LogError]:
         """Return the errors chosen one at a time, with their values by Gauss-Newton steps."""
-        columns, equations = self._first
-        candidates = columns.candidates
-
-        def admitted(column: int, value: float) -> bool:
-            bounds = self._bounds(candidates[column])
-            return bounds is None or bounds.lowest <= value <= bounds.highest
-
-        picked = equations.selected(MOST, admitted)
+        candidates, picked = self._first[0].candidates, self._picked
         if not any(
             candidates[each.column].kind in BOUNDS and each.share >= NAMED for each in picked
         ):
             return []
-        return self._refined(
+        found = self._refined(
             [(candidates[each.column], each.share) for each in picked],
             _Corrected.nothing(len(self._largest)),
             [each.column for each in picked],
         )
+        names = self._result.model.joint_names
+        return [
+            each
+            for each in found
+            if self._is_plausible(
+                Candidate(each.kind, None if each.joint is None else names.index(each.joint)),
+                each.value,
+            )
+        ]
 
     def _refined(
         self,
@@ -277,12 +291,13 @@ class _Search:
             share,
         )
 
-    def _bounds(self, candidate: Candidate) -> Bounds | None:
-        """Return the bounds of a candidate; None for what the model may lack."""
+    def _is_plausible(self, candidate: Candidate, value: float) -> bool:
+        """Return whether a robot in use can have this value; what a model lacks has no bounds."""
+        bounds = BOUNDS.get(candidate.kind)
         if candidate.kind == "zero" and candidate.joint is not None:
             revolute = self._result.model.joints[candidate.joint].is_revolute
-            return BOUNDS["zero"] if revolute else PRISMATIC_ZERO
-        return BOUNDS.get(candidate.kind)
+            bounds = BOUNDS["zero"] if revolute else PRISMATIC_ZERO
+        return bounds is None or bounds.lowest <= value <= bounds.highest
 
     def _fit(self, training: Sequence[Samples]) -> Estimate:
         model, base = self._result.model, self._result.base

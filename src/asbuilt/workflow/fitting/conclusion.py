@@ -35,6 +35,7 @@ from asbuilt.validation.generalisation.missing_effects import (
     missing_effect_findings,
 )
 from asbuilt.validation.log_errors.log_error_text import log_error_findings
+from asbuilt.validation.log_errors.unexplained import unexplained_findings
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import delay_findings
@@ -111,6 +112,7 @@ def conclude_study(
         *_validation_findings(fits, train, validations, further),
         *repetition_findings(prepared.training, held),
         *too_short,
+        *unexplained_findings(trained),
         *_model_findings(fits, result, attribution, options),
         *missing_effect_findings(result, effects, counted=final.omitted is not None),
         *cad_verdict_findings(validations),

@@ -1,0 +1,61 @@
+"""Joints whose torque is not explained are named with the time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.findings import Finding
+from asbuilt.identification.identify import identify_samples
+from asbuilt.validation.log_errors.unexplained import unexplained_findings
+from asbuilt.validation.prediction import validate_samples
+
+MODEL = bundled_robot("ur10e")
+
+
+def log() -> Recording:
+    machine = VirtualRobot.ideal(MODEL).with_drive(
+        DriveSet.parse("viscous,coulomb"), np.tile([1.0, 2.0], 6)
+    )
+    found = machine.record(random_fourier(MODEL, rng=1, duration=30.0), rate=100.0).recording
+    noise = np.random.default_rng(0).normal(size=found.tau.shape)
+    return replace(found, tau=found.tau + 0.5 * noise, qd=None, qdd=None)
+
+
+def findings(recording: Recording) -> list[Finding]:
+    samples = prepare_samples(recording)
+    drive = DriveSet.parse("viscous,coulomb")
+    result = identify_samples(MODEL, samples, drive=drive, method="entropic")
+    return list(unexplained_findings([validate_samples(result, samples)]))
+
+
+def test_a_right_log_is_explained() -> None:
+    assert findings(log()) == []
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_sensor_that_fails_midway_is_named(joint: int) -> None:
+    recording = log()
+    tau = np.array(recording.tau)
+    tau[recording.t > 18.0, joint] = 150.0
+    found = {each.joint for each in findings(replace(recording, tau=tau))}
+    assert found == {MODEL.joint_names[joint]}
+
+
+def test_a_push_is_named_with_its_time() -> None:
+    recording = log()
+    tau = np.array(recording.tau)
+    tau[(recording.t > 12.0) & (recording.t < 16.0), 2] += 150.0
+    (finding,) = findings(replace(recording, tau=tau))
+    assert finding.joint == "elbow_joint"
+    start, stop = finding.message.rpartition("from ")[2].removesuffix(" s").split(" to ")
+    assert float(start) == pytest.approx(12.0, abs=1.6)
+    assert float(stop) == pytest.approx(16.0, abs=1.6)
