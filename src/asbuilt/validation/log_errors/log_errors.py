@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
@@ -66,8 +67,7 @@ BOUNDS: dict[Kind, Bounds] = {
     "warming": Bounds(-1.5, 1.5, 0.05),
     "spring": Bounds(0.0, np.inf, 0.02),
 }
-"""Own choices: what a robot in use can have; `drift` and `spring` in
-largest torques of the joint."""
+"""Own choices: what a robot in use can have; `drift` and `spring` in largest torques of a joint."""
 IN_TORQUES = ("drift", "spring")
 NAMED = 0.05
 """Share of the squared residual from which on an error is named."""
@@ -110,10 +110,19 @@ def log_errors(
         The samples it was identified from.
     block_seconds
         Length of the time blocks of standard errors [s].
+
+    Samples that cannot be fitted again, such as too few, show none.
     """
     if not training:
         return ()
-    search = _Search(result, _thinned(training), block_seconds)
+    try:
+        return _found(_Search(result, _thinned(training), block_seconds))
+    except (AsbuiltError, np.linalg.LinAlgError):
+        return ()
+
+
+def _found(search: _Search) -> tuple[LogError, ...]:
+    """Return the errors that a search finds and that matter."""
     pace = search.pace()
     if pace is not None and pace.share > search.largest_share:
         return (pace,)
@@ -346,6 +355,8 @@ class _Search:
                         score += x @ e
                         square += float(e @ e)
                 parts.append((gram, score, square))
+        if not parts:
+            raise IdentifiabilityError(f"no samples of {model.name} are long enough for a block")
         grams, scores, squares = map(np.array, zip(*parts, strict=True))
         return columns, BlockEquations(grams, scores, squares, r)
 
