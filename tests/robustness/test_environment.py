@@ -99,10 +99,20 @@ def session(leader: int) -> list[int]:
 @LINUX
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.2, 0.3, 0.6])
 def test_interrupt_while_modules_are_imported(delay: float) -> None:
-    code = (
-        "import sys; from asbuilt.cli import run; sys.argv = ['asbuilt', 'base', 'ur10e'];"
-        "print('ready', flush=True); run()"
-    )
+    code = """
+import sys
+from asbuilt.cli import run
+
+class Finder:
+    @staticmethod
+    def find_spec(name, *rest):
+        if name == "asbuilt.cli.app":
+            print("ready", flush=True)
+
+sys.meta_path.insert(0, Finder)
+sys.argv = ["asbuilt", "base", "ur10e"]
+run()
+"""
     command = subprocess.Popen(
         [sys.executable, "-c", code],
         env=environment(),
