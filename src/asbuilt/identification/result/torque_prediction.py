@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
@@ -97,13 +98,32 @@ def model_torque(
             expected=model.joint_names,
             joints=samples.joint_names,
         )
-    links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
     state = (samples.q, samples.qd, samples.qdd)
-    rigid = inverse_dynamics(model, *state, parameters=links if added is None else links + added)
-    if not base.drive:
+    return parameter_torque(model, base.drive, chi, *state, added=added)
+
+
+def parameter_torque(
+    model: RobotModel,
+    drive: DriveSet,
+    chi: Array,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    *,
+    added: Array | None = None,
+) -> tuple[Array, Array]:
+    """Return the torque of rigid bodies and of the whole model, (N, n) each, of states (N, n).
+
+    `chi` are standard parameters as `all_parameters` returns them, `added` (10 n,) link parameters
+    on top.
+    """
+    links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
+    parameters = links if added is None else links + added
+    rigid = inverse_dynamics(model, q, qd, qdd, parameters=parameters)
+    if not drive:
         return rigid, rigid
     shares = model.motor_shares
-    return rigid, rigid + drive_torque(base.drive, drives, *state, load=rigid, shares=shares)
+    return rigid, rigid + drive_torque(drive, drives, q, qd, qdd, load=rigid, shares=shares)
 
 
 def beside_measured(samples: Samples, torque: Array) -> Prediction:

@@ -92,7 +92,7 @@ def tilt_evidence(
 
     The gravity torques of the links by design under `g x axis` are two further columns of the fit.
     """
-    estimate = _plain_fit(result, training, block_seconds)
+    estimate = plain_fit(result, training, block_seconds)
     solved = fitted_tilt(result.model, result.base, estimate, training, axes, block_seconds)
     if not np.all(np.isfinite(solved.covariance)):
         return 0.0
@@ -159,7 +159,7 @@ def _fitted(blocks: DelayColumns, values: Array) -> DelayColumns:
     )
 
 
-def _plain_fit(
+def plain_fit(
     result: IdentificationResult, training: Sequence[Samples], block_seconds: float | None
 ) -> Estimate:
     """Return the weighted least squares fit of the model of a result."""

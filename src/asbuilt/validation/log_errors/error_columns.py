@@ -19,10 +19,10 @@ from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.terms.spring import Spring
-from asbuilt.dynamics.drives.torque import drive_columns, drive_torque
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.dynamics.drives.torque import drive_columns
+from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.identification.information.cause_data import RICHER_TERMS
-from asbuilt.identification.result.torque_prediction import all_parameters
+from asbuilt.identification.result.torque_prediction import all_parameters, parameter_torque
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -58,9 +58,8 @@ class ErrorColumns:
     ) -> None:
         """Take the model, its base parameters' values (p,) and the largest torques (n,)."""
         n = model.n_joints
-        chi = all_parameters(base, values)
         self._model, self._drive, self._largest = model, base.drive, largest
-        self._links, self._drives = chi[: 10 * n], chi[10 * n :]
+        self._chi = all_parameters(base, values)
         self._further = _lacking(base.drive)
         self._tilted = [
             model.with_gravity(np.cross(model.gravity, axis)) for axis in axes_across(model.gravity)
@@ -109,12 +108,7 @@ class ErrorColumns:
 
     def _torque(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
         """Return the torque of rigid bodies and of the model, (L, n) each."""
-        rigid = inverse_dynamics(self._model, q, qd, qdd, parameters=self._links)
-        if not self._drive:
-            return rigid, rigid
-        shares = self._model.motor_shares
-        drives = drive_torque(self._drive, self._drives, q, qd, qdd, load=rigid, shares=shares)
-        return rigid, rigid + drives
+        return parameter_torque(self._model, self._drive, self._chi, q, qd, qdd)
 
     def _by_speed(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivative of the torque by the logarithm of the clock's rate."""

@@ -13,13 +13,9 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
-from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import sample_blocks
-from asbuilt.identification.information.square_root_information import accumulate_stream
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.torque_prediction import predict_torque
+from asbuilt.validation.generalisation.effect_evidence import plain_fit
 from asbuilt.validation.log_errors.error_columns import (
     Candidate,
     ErrorColumns,
@@ -308,16 +304,10 @@ class _Search:
             bounds = BOUNDS["zero"] if revolute else PRISMATIC_ZERO
         return bounds is None or bounds.lowest <= value <= bounds.highest
 
-    def _fit(self, training: Sequence[Samples]) -> Estimate:
-        model, base = self._result.model, self._result.base
-        information = accumulate_stream(model, base, training, block_seconds=self._seconds)
-        data = EstimationData(model, information, training, design_values(model, base))
-        return methods.find("wls").estimate(data)
-
     def _residual(self, change: Callable[[Samples], Samples]) -> float:
         """Return the squared residual of a fit to changed samples, weighted as the first fit."""
         training = [change(samples) for samples in self._training]
-        estimate, weights = self._fit(training), self._weights
+        estimate, weights = plain_fit(self._result, training, self._seconds), self._weights
         prediction = [
             predict_torque(self._result.model, self._result.base, estimate.beta, samples)
             for samples in training
@@ -330,7 +320,7 @@ class _Search:
         """Return candidates about values (None: those of the fit), and their normal equations."""
         model, base = self._result.model, self._result.base
         training = [taken.of(samples) for samples in self._training]
-        estimate = self._fit(training)
+        estimate = plain_fit(self._result, training, self._seconds)
         columns = ErrorColumns(
             model, base, estimate.beta if values is None else values, self._largest
         )
