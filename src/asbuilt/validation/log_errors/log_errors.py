@@ -124,7 +124,7 @@ def _found(search: _Search) -> tuple[LogError, ...]:
         return (pace,)
     found = search.chosen()
     if found and found[0].kind == "clock":
-        return (found[0],) if _matters(found[0], 1.0) else ()
+        return (found[0],) if search.matters(found[0]) else ()
     curved = {each.joint for each in found if each.kind == "nonlinear"}
     return tuple(
         each
@@ -132,7 +132,7 @@ def _found(search: _Search) -> tuple[LogError, ...]:
         if each.kind not in ("clock", "tilt", "drive")
         and each.share >= NAMED
         and not (each.kind == "scale" and each.joint in curved)
-        and _matters(each, search.size(each))
+        and search.matters(each)
     )
 
 
@@ -201,11 +201,13 @@ class _Search:
         self._largest = largest_torques(training)
         self._first = self._equations(_Corrected.nothing(len(self._largest)), result.estimates)
 
-    def size(self, error: LogError) -> float:
-        """Return in what the value of an error counts."""
-        names = self._result.model.joint_names
-        in_torques = error.kind in IN_TORQUES and error.joint is not None
-        return float(self._largest[names.index(str(error.joint))]) if in_torques else 1.0
+    def matters(self, error: LogError) -> bool:
+        """Return whether an error of the log is large enough to name."""
+        own = self._candidate(error)
+        bounds = self._bounds(own)
+        in_torques = own.kind in IN_TORQUES and own.joint is not None
+        size = float(self._largest[own.joint]) if in_torques else 1.0
+        return bounds is not None and abs(error.value) >= bounds.matters * size
 
     def pace(self) -> LogError | None:
         """Return the error of a clock that is off by about one of some factors, if one is."""
@@ -248,15 +250,7 @@ class _Search:
             _Corrected.nothing(len(self._largest)),
             [each.column for each in picked],
         )
-        names = self._result.model.joint_names
-        return [
-            each
-            for each in found
-            if self._is_plausible(
-                Candidate(each.kind, None if each.joint is None else names.index(each.joint)),
-                each.value,
-            )
-        ]
+        return [each for each in found if self._is_plausible(self._candidate(each), each.value)]
 
     def _refined(
         self,
@@ -296,12 +290,20 @@ class _Search:
             share,
         )
 
-    def _is_plausible(self, candidate: Candidate, value: float) -> bool:
-        """Return whether a robot in use can have this value; what a model lacks has no bounds."""
-        bounds = BOUNDS.get(candidate.kind)
+    def _candidate(self, error: LogError) -> Candidate:
+        names = self._result.model.joint_names
+        return Candidate(error.kind, None if error.joint is None else names.index(error.joint))
+
+    def _bounds(self, candidate: Candidate) -> Bounds | None:
+        """Return the bounds of a candidate; None for what the model may lack."""
         if candidate.kind == "zero" and candidate.joint is not None:
             revolute = self._result.model.joints[candidate.joint].is_revolute
-            bounds = BOUNDS["zero"] if revolute else PRISMATIC_ZERO
+            return BOUNDS["zero"] if revolute else PRISMATIC_ZERO
+        return BOUNDS.get(candidate.kind)
+
+    def _is_plausible(self, candidate: Candidate, value: float) -> bool:
+        """Return whether a robot in use can have this value; what a model lacks has no bounds."""
+        bounds = self._bounds(candidate)
         return bounds is None or bounds.lowest <= value <= bounds.highest
 
     def _residual(self, change: Callable[[Samples], Samples]) -> float:
@@ -349,10 +351,6 @@ class _Search:
             raise IdentifiabilityError(f"no samples of {model.name} are long enough for a block")
         grams, scores, squares = map(np.array, zip(*parts, strict=True))
         return columns, BlockEquations(grams, scores, squares, r)
-
-
-def _matters(error: LogError, size: float) -> bool:
-    return abs(error.value) >= BOUNDS[error.kind].matters * size
 
 
 def _thinned(training: Sequence[Samples]) -> list[Samples]:
