@@ -248,6 +248,7 @@ def servo_findings(
     findings += _goal_findings(found)
     if found.unexplained:
         findings.append(_unexplained(found))
+    findings += _current_findings(model, found)
     if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
         findings.append(
             Finding(
@@ -259,6 +260,33 @@ def servo_findings(
             )
         )
     return tuple(findings)
+
+
+def _current_findings(model: RobotModel, found: ServoEstimate) -> list[Finding]:
+    """Return what magnitudes logged beside the commands show of the servo's damping."""
+    listed = [
+        (name, law)
+        for name, law in zip(model.joint_names, found.currents or (), strict=False)
+        if law is not None and law.holds
+    ]
+    if not listed:
+        return []
+    late = found.servo.delay or 0.0
+    lags = "; ".join(
+        f"{name} {_shown(1e3 * (law.lag - late), 1e3 * law.lag_error)} ms, {law.kind} current,"
+        f" {100.0 * law.explained:.0f} % explained"
+        for name, law in listed
+    )
+    return [
+        Finding(
+            "servo_current_explained",
+            "info",
+            "The log has currents without a sign beside the commands, which the servo explains"
+            f" with damping / stiffness of {lags}. This much damping is the servo's, with the"
+            " voltage that its motor induces; the rest of viscous friction is the joint's",
+            Cure("give the damping as stiffness times this, to tell one from the other"),
+        )
+    ]
 
 
 def _goal_findings(found: ServoEstimate) -> list[Finding]:

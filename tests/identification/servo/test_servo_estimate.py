@@ -9,7 +9,7 @@ from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo, described_servo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.servo_torque import driven_by_command, held_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -17,6 +17,7 @@ from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.servo import servo_findings
 from asbuilt.workflow.study import identify
 
 KP, DELAY, STEP, RATE = (15.0, 15.0, 15.0), 0.013, 0.001, 100.0
@@ -234,3 +235,23 @@ def test_parameters_follow_the_delay_of_the_servo_as_their_errors_say(recording)
     shift = 1e-3 * added.shift[drives] / found.servo.delay
     assert shift == pytest.approx(-moved[drives], rel=0.1, abs=1e-4)
     assert servo_delay_errors(fit.information, fit.estimate, found.slopes, KP, 0.0, 0.0) is None
+
+
+def test_magnitudes_beside_commands_give_the_damping_of_the_servo(recording):
+    error = held_command(recording, DELAY) - recording.q
+    velocity = np.gradient(recording.q, recording.t, axis=0)
+    noise = np.random.default_rng(4).normal(scale=2e-3, size=error.shape)
+    current = np.abs(0.2 * (error - 0.04 * velocity)) + np.abs(noise)
+    logged = dataclasses.replace(recording, tau=current)
+    found = estimated(logged, unknown(KP))
+    late = found.servo.delay
+    for law in found.currents:
+        assert law.kind == "motor"
+        assert law.holds
+        assert law.lag - late == pytest.approx(0.04, abs=4e-3)
+    (told,) = [
+        each
+        for each in servo_findings(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
+        if each.code == "servo_current_explained"
+    ]
+    assert "pan 3" in told.message or "pan 4" in told.message

@@ -88,12 +88,16 @@ def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) 
     return np.asarray(values)
 
 
+LOGGED = "tau_logged"
+"""Extra quantity of a recording whose torque is that of its command: the torque that was logged."""
+
+
 def driven_by_command(recording: Recording, servo: PositionServo) -> Recording:
     """Return the recording with the torque of a servo that follows its command.
 
     An unknown stiffness counts as 1 N m/rad, an unknown damping as 0, an unknown delay as 0: then
     the torque is a control error until the gains are identified. A torque that was logged becomes
-    the extra quantity `tau_logged`.
+    the extra quantity `LOGGED`.
     """
     known = replace(
         servo,
@@ -104,7 +108,7 @@ def driven_by_command(recording: Recording, servo: PositionServo) -> Recording:
     tau = known.torque(held, recording.q, logged_velocity(recording))
     extra = dict(recording.extra)
     if recording.servo is None and np.any(recording.tau):
-        extra["tau_logged"] = recording.tau
+        extra[LOGGED] = recording.tau
     return replace(recording, tau=tau, torque_source="command", servo=servo, extra=extra)
 
 

@@ -122,7 +122,8 @@ class SheetFiles(_Part):
 class RecordingSheet(_Part):
     """Describe a log: every field is optional and overrides what the column names give.
 
-    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
+    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's;
+    "command" where it gives magnitudes, whose sign is that of the servo's control error),
     `gains` turn them into N m (amperes times N m/A); both are one number or one per joint. `zero`
     are the positions [rad or m] that the log gives where the description has zero, and
     `time_factor` multiplies the log's times, where its clock is wrong. `lock`
@@ -144,7 +145,7 @@ class RecordingSheet(_Part):
     separator: Literal[",", ";", "\t", "|", " "] | None = None
     joints: list[str] | dict[str, str] | None = None
     torque_source: TorqueSource | None = None
-    sign: float | list[float] | None = None
+    sign: float | list[float] | Literal["command"] | None = None
     gains: float | list[float] | None = None
     zero: FiniteNumber | list[FiniteNumber] | None = None
     time_factor: float | None = Field(default=None, gt=0, allow_inf_nan=False)
@@ -173,7 +174,11 @@ class RecordingSheet(_Part):
     @model_validator(mode="after")
     def _signs(self) -> RecordingSheet:
         signs = (
-            self.sign if isinstance(self.sign, list) else [] if self.sign is None else [self.sign]
+            self.sign
+            if isinstance(self.sign, list)
+            else []
+            if self.sign is None or self.sign == "command"
+            else [self.sign]
         )
         if any(sign not in (1, -1) for sign in signs):
             raise ValueError(

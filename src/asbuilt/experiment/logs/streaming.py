@@ -54,8 +54,8 @@ def stream_recording(
     path, chosen = Path(path), reading_options(options, settings)
     check_readable(path)
     sheet, notes = find_sheet(path, chosen.sheet)
-    listed = sheet.files.position is not None
-    stream = None if listed or path.suffix == ".toml" else log_format(path).stream
+    whole_first = sheet.files.position is not None or sheet.sign == "command"
+    stream = None if whole_first or path.suffix == ".toml" else log_format(path).stream
     names = None if stream is None else stream.columns(path, sheet)
     if stream is None or names is None:
         whole = read_recording(path, model=model, options=replace(chosen, sheet=sheet))

@@ -229,8 +229,10 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     findings = list(clock_findings(known))
     noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
+        beginning = as_modelled(model, credible(first_of(recording, MEASURED)))
         findings += _findings_in_time(model, chunks, known)
-        noise = PositionNoise.of(as_modelled(model, credible(first_of(recording, MEASURED))))
+        findings += unsigned_findings(known.torque_range, beginning)
+        noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
     findings += lock_findings(model.locked_joints, model.held_followers)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
@@ -258,7 +260,6 @@ def _findings_in_time(
     revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from motion_findings(model, known, motion)
     yield from saturation_findings(model, known, closer)
-    yield from unsigned_findings(known.torque_range)
     yield from filter_findings(closer.torques, known.rate)
     if motion is not None:
         scale = np.where(revolute & degrees, DEGREE, 1.0)

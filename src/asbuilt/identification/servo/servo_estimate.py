@@ -13,6 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.experiment.command.magnitude import MagnitudeLaw, logged_magnitude_laws
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
@@ -46,7 +47,8 @@ class ServoEstimate:
 
     `goals` are the limits of the acceleration of its goal that the recordings show, None for one
     that shows none. The servo has a limit if all of them show one. `slopes` are how the torque
-    follows the delay.
+    follows the delay. `currents` are the laws of magnitudes that were logged beside the commands,
+    one per joint, empty if none were.
     """
 
     servo: PositionServo
@@ -54,6 +56,7 @@ class ServoEstimate:
     unexplained: tuple[TimeBlock, ...] = ()
     goals: tuple[GoalLimit | None, ...] = ()
     slopes: DelaySlopes | None = None
+    currents: tuple[MagnitudeLaw | None, ...] = ()
 
     def of_recording(self, number: int) -> PositionServo:
         """Return the servo with the limit of its goal in one of the recordings."""
@@ -161,6 +164,7 @@ def estimate_servo(
         ),
         goals,
         DelaySlopes.of(rows, base, (found.excess <= UNEXPLAINED).tolist()),
+        logged_magnitude_laws(recordings),
     )
 
 

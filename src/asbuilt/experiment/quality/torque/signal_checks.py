@@ -24,14 +24,21 @@ _SHORTEST = 256
 def saturation_findings(
     model: RobotModel, recording: FirstPass, closer: SecondPass
 ) -> Iterator[Finding]:
-    """Find torques that stay at an extreme value or reach the joint's torque limit."""
+    """Find torques that stay at an extreme value or reach the joint's torque limit.
+
+    An extreme of zero is none: magnitudes rest there.
+    """
     changed = np.flatnonzero(recording.not_repeated)
     for k, joint in enumerate(model.joints):
         for plateau in closer.plateaus[k]:
             flat = plateau.places.size
             longest, start = _longest_consecutive(plateau.places)
             usual = (plateau.n_near - flat) / max(1, plateau.near.size - 1)
-            if longest >= _PLATEAU_SAMPLES and flat > 8 * max(usual, 1.0):
+            if (
+                plateau.extreme != 0.0
+                and longest >= _PLATEAU_SAMPLES
+                and flat > 8 * max(usual, 1.0)
+            ):
                 yield Finding(
                     "saturation",
                     "warning",

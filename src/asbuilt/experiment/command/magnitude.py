@@ -1,0 +1,291 @@
+"""Law by which the command of a servo explains a current that was logged without a sign."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.command.servo_torque import LOGGED, held_command, logged_velocity
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure, joined
+
+Kind = Literal["motor", "supply"]
+KINDS: tuple[Kind, ...] = ("motor", "supply")
+
+
+@dataclass(frozen=True, slots=True)
+class MagnitudeRules:
+    """Say how a law is sought, and when it counts: own choices.
+
+    Parameters
+    ----------
+    block
+        Length of the blocks [s], half of which validate the other half.
+    fewest
+        Blocks below which a joint has no law.
+    explained
+        Share of the variance of blocks not fitted from which a law explains a column.
+    shortest, longest, tried
+        Range of the lag [s], and how many values of it start the search.
+    """
+
+    block: float = 2.0
+    fewest: int = 6
+    explained: float = 0.7
+    shortest: float = -0.1
+    longest: float = 0.5
+    tried: int = 31
+
+
+RULES = MagnitudeRules()
+
+
+@dataclass(frozen=True, slots=True)
+class MagnitudeLaw:
+    """Hold how a magnitude m of one joint follows its control error e and velocity w.
+
+    A "motor" current is `m = scale |e - lag w| + rest`, in proportion to the torque. A "supply"
+    current is that times the duty cycle, itself in proportion to e:
+    `m = scale max(e (e - lag w), 0) + rest`.
+
+    Parameters
+    ----------
+    kind
+        Motor or supply.
+    scale
+        Unit of the column per rad (motor) or rad^2 (supply); per m or m^2 for a sliding joint.
+    lag, lag_error
+        Damping of the servo by its stiffness, with the voltage that the motor induces, plus the
+        delay of the command [s], and its standard error.
+    rest
+        Reading where the servo gives no torque, in the unit of the column.
+    explained
+        Share of the variance that is explained in blocks of time that were not fitted.
+    """
+
+    kind: Kind
+    scale: float
+    lag: float
+    lag_error: float
+    rest: float
+    explained: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the law explains the column well enough to be used."""
+        return self.explained >= RULES.explained and self.scale > 0.0
+
+
+def is_magnitude(values: Array) -> bool:
+    """Return whether a column (N,) is never negative, and not zero throughout."""
+    finite = values[np.isfinite(values)]
+    return bool(finite.size and finite.min() >= 0.0 and finite.max() > 0.0)
+
+
+def magnitude_laws(
+    recordings: Recording | Sequence[Recording], magnitudes: Sequence[Array] | None = None
+) -> tuple[MagnitudeLaw | None, ...]:
+    """Return the law of each joint's magnitude; None where the command explains nothing.
+
+    Both kinds are fitted to half of the time blocks and validated on the other half, both ways; the
+    kind that explains more of all joints holds for all.
+
+    Parameters
+    ----------
+    recordings
+        Recordings of the same joints.
+    magnitudes
+        A magnitude (N, n) for each recording; by default its torque.
+
+    Examples
+    --------
+    >>> t = np.arange(0.0, 40.0, 0.02)
+    >>> q = np.sin(t)[:, None]
+    >>> u = q + 0.2 * np.cos(2.3 * t)[:, None]
+    >>> recording = Recording(t=t, q=q, tau=q, command=u)
+    >>> e, w = held_command(recording) - q, logged_velocity(recording)
+    >>> law = magnitude_laws(recording, [3.0 * np.abs(e - 0.05 * w)])[0]
+    >>> law.kind, round(law.scale, 3), round(law.lag, 4)
+    ('motor', 3.0, 0.05)
+    """
+    several = [recordings] if isinstance(recordings, Recording) else [*recordings]
+    given = [each.tau for each in several] if magnitudes is None else magnitudes
+    parts = [
+        (each, magnitude)
+        for each, magnitude in zip(several, given, strict=True)
+        if each.command is not None
+    ]
+    if not parts:
+        return (None,) * several[0].n_joints
+    errors = [held_command(each) - each.q for each, _ in parts]
+    m, e, w = (
+        np.concatenate(columns)
+        for columns in ([each for _, each in parts], errors, [_velocity(each) for each, _ in parts])
+    )
+    blocks, first = list[Array](), 0
+    for each, _ in parts:
+        own = np.floor((each.t - np.nanmin(each.t)) / RULES.block)
+        blocks.append(own + first)
+        first += int(np.nanmax(own)) + 1
+    block = np.concatenate(blocks)
+    laws = {
+        kind: tuple(_law(kind, block, m[:, k], e[:, k], w[:, k]) for k in range(m.shape[1]))
+        for kind in KINDS
+    }
+    return max(laws.values(), key=_explained)
+
+
+def _explained(laws: Sequence[MagnitudeLaw | None]) -> float:
+    """Return the sum over joints of what laws explain."""
+    return sum(max(law.explained, 0.0) for law in laws if law is not None)
+
+
+def logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw | None, ...]:
+    """Return the laws of magnitudes that were logged beside the commands; empty if none were."""
+    logged = [
+        (each, each.extra[LOGGED])
+        for each in recordings
+        if LOGGED in each.extra and any(is_magnitude(column) for column in each.extra[LOGGED].T)
+    ]
+    if not logged:
+        return ()
+    return magnitude_laws([each for each, _ in logged], [values for _, values in logged])
+
+
+def signed_by_command(recording: Recording, unused: Collection[str] = ()) -> Recording:
+    """Return a recording whose magnitudes have the sign of the servo's torque, `e - lag w`.
+
+    Joints that are `unused` need no law and keep their torque.
+
+    Raises
+    ------
+    RecordingError
+        If there is no command, a torque is negative, or the command does not explain the magnitude
+        of a joint as that of a motor's current, so that its sign or its proportion to the torque is
+        unknown.
+    """
+    if recording.command is None:
+        raise RecordingError(
+            f"{recording.source}: the sign of the torques shall come from the command, but the log"
+            " has no commanded positions",
+            cure=Cure("name their columns in the recording sheet as columns.command"),
+            file=recording.source,
+        )
+    if np.nanmin(recording.tau) < 0.0:
+        raise RecordingError(
+            f"{recording.source}: the sign of the torques shall come from the command, but the log"
+            f" has torques down to {np.nanmin(recording.tau):.4g}: they have a sign",
+            cure=Cure('leave out sign = "command"'),
+            file=recording.source,
+            value=float(np.nanmin(recording.tau)),
+        )
+    laws = magnitude_laws(recording)
+    for kind, what in (
+        (None, "do not follow the command"),
+        ("supply", "are supply currents, which grow with the square of the torque"),
+    ):
+        bad = [
+            name
+            for name, law in zip(recording.joint_names, laws, strict=True)
+            if name not in unused and (law.kind if law is not None and law.holds else None) == kind
+        ]
+        if bad:
+            raise RecordingError(
+                f"{recording.source}: the magnitudes of {joined(bad)} {what}; the command gives"
+                " them no sign that could be used",
+                cure=Cure(
+                    "use the commanded positions instead", settings={"torque_source": "command"}
+                ),
+                file=recording.source,
+                joint=bad[0],
+            )
+    lag = np.array([0.0 if law is None else law.lag for law in laws])
+    driving = held_command(recording) - recording.q - lag * _velocity(recording)
+    driving[:, [name in unused for name in recording.joint_names]] = 1.0
+    side = np.where(driving < 0.0, -1.0, 1.0)
+    listed = ", ".join(f"{1e3 * each:.3g}" for each in lag)
+    note = f"torques have the sign of command - position - lag velocity, lags of {listed} ms"
+    return replace(recording, tau=side * recording.tau, notes=(*recording.notes, note))
+
+
+def _velocity(recording: Recording) -> Array:
+    return logged_velocity(recording) if recording.qd is None else recording.qd
+
+
+def _law(
+    kind: Kind, blocks: Array, magnitude: Array, error: Array, velocity: Array
+) -> MagnitudeLaw | None:
+    """Return the law of one joint, each input (N,); None if it has too few rows."""
+    rows = np.all(np.isfinite([blocks, magnitude, error, velocity]), axis=0)
+    m, e, w = magnitude[rows], error[rows], velocity[rows]
+    block = blocks[rows].astype(np.intp)
+    if np.unique(block).size < RULES.fewest or not np.ptp(m) > 0.0 or not np.ptp(e) > 0.0:
+        return None
+    return _fitted(kind, m, e, w, block)
+
+
+def _fitted(kind: Kind, m: Array, e: Array, w: Array, block: Indices) -> MagnitudeLaw:
+    """Fit one kind of law, and validate it on the blocks of the other parity."""
+    odd = block % 2 == 1
+    left = 0.0
+    for here in (odd, ~odd):
+        lag = _lag(kind, m[here], e[here], w[here])
+        scale, rest = _line(_shape(kind, e[here], w[here], lag), m[here])
+        left += float(np.sum((m[~here] - scale * _shape(kind, e, w, lag)[~here] - rest) ** 2))
+    lag = _lag(kind, m, e, w)
+    scale, rest = _line(_shape(kind, e, w, lag), m)
+    total = float(np.sum((m - m.mean()) ** 2))
+    return MagnitudeLaw(
+        kind, scale, lag, _lag_error(kind, m, e, w, lag, block), rest, 1.0 - left / total
+    )
+
+
+def _shape(kind: Kind, e: Array, w: Array, lag: float) -> Array:
+    driving = e - lag * w
+    return np.abs(driving) if kind == "motor" else np.maximum(e * driving, 0.0)
+
+
+def _line(x: Array, y: Array) -> tuple[float, float]:
+    """Return slope and intercept of the line through points."""
+    centred = x - x.mean()
+    energy = float(centred @ centred)
+    slope = float(centred @ y) / energy if energy > 0.0 else 0.0
+    return slope, float(y.mean() - slope * x.mean())
+
+
+def _lag(kind: Kind, m: Array, e: Array, w: Array) -> float:
+    """Return the lag with which the law fits best, by the profile over it."""
+
+    def cost(lag: float) -> float:
+        x = _shape(kind, e, w, lag)
+        scale, rest = _line(x, m)
+        return float(np.sum((m - scale * x - rest) ** 2))
+
+    return _lowest(cost)
+
+
+def _lowest(cost: Callable[[float], float]) -> float:
+    tried = np.linspace(RULES.shortest, RULES.longest, RULES.tried)
+    best = float(tried[int(np.argmin([cost(float(each)) for each in tried]))])
+    step = float(tried[1] - tried[0])
+    found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
+    return float(found.x)
+
+
+def _lag_error(kind: Kind, m: Array, e: Array, w: Array, lag: float, block: Indices) -> float:
+    """Return the standard error of the lag from the scores of time blocks."""
+    step = 1e-3
+    scale, rest = _line(_shape(kind, e, w, lag), m)
+    ahead, behind = _shape(kind, e, w, lag + step), _shape(kind, e, w, lag - step)
+    x = _shape(kind, e, w, lag)
+    J = np.stack([scale * (ahead - behind) / (2.0 * step), x, np.ones_like(x)], axis=1)
+    residual = m - scale * x - rest
+    inverse = np.linalg.pinv(J.T @ J, hermitian=True)[0]
+    scores = np.bincount(block, weights=residual * (J @ inverse))
+    return float(np.sqrt(np.sum(scores**2)))
