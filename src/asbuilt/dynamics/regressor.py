@@ -261,6 +261,7 @@ class RegressorPlan:
             return
         load = inverse_dynamics(self.model, q, qd, qdd) if self.drive.needs_load else None
         shares = self.model.motor_shares if self.motor_rows else None
+        q, qd, qdd = (np.asfortranarray(values) for values in (q, qd, qdd))
         columns = np.empty((self.drive.columns_per_joint, q.shape[0]))
         for k, (chosen, rows) in enumerate(self.drive_rows):
             drive_columns(self.drive, k, q, qd, qdd, load=load, shares=shares, out=columns)

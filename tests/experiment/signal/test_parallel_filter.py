@@ -47,6 +47,15 @@ def test_apply_is_a_plain_convolution_along_any_axis():
     assert f.apply(x, out=out) is out
 
 
+def test_rows_of_wider_memory_are_filtered_as_those_of_a_copy():
+    wide = np.random.default_rng(5).normal(size=(9, 400))
+    f = design_parallel_filter(6.0, 100.0, 3)
+    before = wide.copy()
+    for rows in (wide[2:6, :301], wide[::2, 7:308], wide[::-1, :301], wide[:, ::-1], wide[:1]):
+        np.testing.assert_array_equal(f.apply(rows), f.apply(rows.copy()))
+    np.testing.assert_array_equal(wide, before)
+
+
 def test_pieces_that_overlap_by_the_margins_give_the_whole():
     x = np.random.default_rng(4).normal(size=(2, 1000))
     f = design_parallel_filter(4.0, 100.0, 5)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from scipy import optimize, signal
 
 from asbuilt.arrays import Array
@@ -73,15 +74,16 @@ class ParallelFilter:
     def apply(self, x: Array, axis: int = -1, out: Array | None = None) -> Array:
         """Filter and decimate one contiguous segment along `axis`: L becomes n_outputs(L).
 
-        Fastest if samples are innermost (`axis=-1`, C order). `out`, if given, is filled (only for
-        two-dimensional x and axis -1).
+        Fastest if samples are innermost (`axis=-1`, neighbours in memory). `out`, if given, is
+        filled (only for two-dimensional x and axis -1).
         """
         values = np.asarray(x, dtype=np.float64)
-        if values.ndim == 2 and axis in (-1, 1) and values.flags.c_contiguous:
-            result = (
-                np.empty((values.shape[0], self.n_outputs(values.shape[1]))) if out is None else out
-            )
-            _filter_rows(values, self.taps, self.decimation, result)
+        if values.ndim == 2 and axis in (-1, 1) and _has_rows_in_memory(values):
+            rows, length = values.shape
+            result = np.empty((rows, self.n_outputs(length))) if out is None else out
+            stride = values.strides[0] // values.itemsize
+            memory = as_strided(values, ((rows - 1) * stride + length,), values.strides[1:])
+            _filter_rows(memory, stride, self.taps, self.decimation, result)
             return result
         moved = np.ascontiguousarray(np.moveaxis(values, axis, -1))
         flat = self.apply(moved.reshape(-1, moved.shape[-1]), -1)
@@ -143,14 +145,39 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
     return ParallelFilter(taps(corner), decimation, cutoff, rate)
 
 
+def _has_rows_in_memory(x: Array) -> bool:
+    """Return whether the numbers of each row of x (m, L) are neighbours in memory."""
+    apart, step = x.strides
+    return x.size > 0 and step == x.itemsize and apart >= x.shape[1] * step
+
+
 @compiled_with_reordered_sums
-def _filter_rows(x: Array, taps: Array, decimation: int, out: Array) -> None:
-    n = taps.size
-    for i in range(x.shape[0]):
-        row = x[i]
-        for k in range(out.shape[1]):
-            first = k * decimation
+def _filter_rows(memory: Array, stride: int, taps: Array, decimation: int, out: Array) -> None:
+    """Fill out (m, K) with the filtered rows, which begin every `stride` numbers of `memory`.
+
+    Four outputs share the taps that are loaded, and windows are slices, whose indices need no
+    check for negative ones: with either, sums run in vector registers.
+    """
+    n, count = taps.size, out.shape[1]
+    whole = count - count % 4
+    for i in range(out.shape[0]):
+        row = memory[i * stride :]
+        for k in range(0, whole, 4):
+            at = k * decimation
+            w0 = row[at : at + n]
+            w1 = row[at + decimation : at + decimation + n]
+            w2 = row[at + 2 * decimation : at + 2 * decimation + n]
+            w3 = row[at + 3 * decimation : at + 3 * decimation + n]
+            y0 = y1 = y2 = y3 = 0.0
+            for j in range(n):
+                y0 += taps[j] * w0[j]
+                y1 += taps[j] * w1[j]
+                y2 += taps[j] * w2[j]
+                y3 += taps[j] * w3[j]
+            out[i, k], out[i, k + 1], out[i, k + 2], out[i, k + 3] = y0, y1, y2, y3
+        for k in range(whole, count):
+            window = row[k * decimation : k * decimation + n]
             total = 0.0
             for j in range(n):
-                total += taps[j] * row[first + j]
+                total += taps[j] * window[j]
             out[i, k] = total
