@@ -301,5 +301,5 @@ def test_a_tilt_that_explains_nothing_is_not_spoken_of(
     monkeypatch.setattr(hidden_causes, "find_mounting", lambda *_, **__: stands)
     monkeypatch.setattr(hidden_causes, "suspected_springs", lambda *_, **__: ())
     monkeypatch.setattr(hidden_causes, "relief_on_other_motions", lambda *_, **__: (elsewhere, 0.2))
-    found = hidden_causes.hidden_cause_findings(result, [samples], drive, tilt=0.0)
+    found = hidden_causes.find_hidden_causes(result, [samples], drive, tilt=0.0).findings
     assert ("base_tilt" in {finding.code for finding in found}) is said

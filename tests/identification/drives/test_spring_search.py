@@ -18,7 +18,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Finding
 from asbuilt.identification.drives.spring_search import suspected_springs
 from asbuilt.identification.identify import identify_samples
-from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
+from asbuilt.validation.generalisation.hidden_causes import find_hidden_causes
 from asbuilt.workflow.study import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -92,7 +92,7 @@ def test_described_springs_stay_while_others_are_looked_for(trial) -> None:
         identify_samples(case.model, samples, drive=described),
         findings=(Finding("consistent_fit_rejected", "warning", "no real bodies"),),
     )
-    (said,) = hidden_cause_findings(refused, [samples], described)
+    (said,) = find_hidden_causes(refused, [samples], described).findings
     advised = said.cure.settings["drive"]
     assert DriveSet.parse(advised) == DRIVE.with_term(*DriveSet.parse("spring:joints=4/5").terms)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
 from asbuilt.description.catalogue import bundled_robot
@@ -37,9 +38,12 @@ def logged(model: RobotModel, fault: Fault | None = None, seed: int = 1) -> Reco
     return replace(log, t=t, q=q, tau=tau + noise, qd=None, qdd=None)
 
 
-def found(name: str, fault: Fault | None = None) -> tuple[LogError, ...]:
+def found(name: str, fault: Fault | None = None, tilt: float = 0.0) -> tuple[LogError, ...]:
+    """Return the errors found in the log of a robot whose base is tilted by so much [rad]."""
     model = bundled_robot(name)
-    samples = prepare_samples(logged(model, fault))
+    turned = Rotation.from_rotvec([tilt, -0.6 * tilt, 0.0])
+    real = model.with_gravity(turned.apply(np.array(model.gravity)))
+    samples = prepare_samples(logged(real, fault))
     return log_errors(identify_samples(model, samples, drive=DRIVE), [samples])
 
 
@@ -115,6 +119,17 @@ def test_a_wrong_gain_is_measured(name: str, joint: int, factor: float) -> None:
     error = found(name, gain(joint, factor))[0]
     assert (error.kind, error.joint) == ("scale", bundled_robot(name).joint_names[joint])
     assert 1.0 + error.value == pytest.approx(factor, abs=4.0 * error.std_error)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "tilt"),
+    [("franka-panda", 1, 0.03), ("kuka-iiwa7-r800", 1, 0.1), ("ur10e", 1, 0.2)],
+)
+def test_gains_are_sought_on_the_tilted_robot(name: str, joint: int, tilt: float) -> None:
+    assert found(name, tilt=tilt) == ()
+    (error,) = found(name, gain(joint, 0.9), tilt)
+    assert (error.kind, error.joint) == ("scale", bundled_robot(name).joint_names[joint])
+    assert 1.0 + error.value == pytest.approx(0.9, abs=3e-3)
 
 
 def test_a_dead_sensor_is_named() -> None:

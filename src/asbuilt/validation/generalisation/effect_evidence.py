@@ -92,7 +92,7 @@ def tilt_evidence(
 
     The gravity torques of the links by design under `g x axis` are two further columns of the fit.
     """
-    estimate = plain_fit(result, training, block_seconds)
+    estimate = plain_fit(result.model, result.base, training, block_seconds)
     solved = fitted_tilt(result.model, result.base, estimate, training, axes, block_seconds)
     if not np.all(np.isfinite(solved.covariance)):
         return 0.0
@@ -160,11 +160,12 @@ def _fitted(blocks: DelayColumns, values: Array) -> DelayColumns:
 
 
 def plain_fit(
-    result: IdentificationResult, training: Sequence[Samples], block_seconds: float | None
+    model: RobotModel,
+    base: BaseParameters,
+    training: Sequence[Samples],
+    block_seconds: float | None,
 ) -> Estimate:
-    """Return the weighted least squares fit of the model of a result."""
-    information = accumulate_stream(
-        result.model, result.base, training, block_seconds=block_seconds
-    )
-    design = design_values(result.model, result.base)
-    return methods.find("wls").estimate(EstimationData(result.model, information, training, design))
+    """Return the weighted least squares fit of a model."""
+    information = accumulate_stream(model, base, training, block_seconds=block_seconds)
+    design = design_values(model, base)
+    return methods.find("wls").estimate(EstimationData(model, information, training, design))

@@ -46,7 +46,15 @@ LIMITS = HiddenCauseLimits()
 TILTED = Cure("check the mounting, or estimate it", {"mounting": "estimate"})
 
 
-def hidden_cause_findings(
+@dataclass(frozen=True, slots=True, eq=False)
+class HiddenCauses:
+    """Hold findings of hidden causes, and the mounting that was estimated for them, if any."""
+
+    findings: tuple[Finding, ...]
+    mounting: Mounting | None
+
+
+def find_hidden_causes(
     result: IdentificationResult,
     training: Sequence[Samples],
     drive: DriveSet,
@@ -54,8 +62,8 @@ def hidden_cause_findings(
     tilt: float | None = None,
     mounting: Mounting | None = None,
     block_seconds: float | None = None,
-) -> tuple[Finding, ...]:
-    """Return findings of causes that seem to act without being described.
+) -> HiddenCauses:
+    """Find causes that seem to act without being described.
 
     Parameters
     ----------
@@ -88,9 +96,12 @@ def hidden_cause_findings(
         tilted = tuple(_tilt_findings(mounting, training, drive, block_seconds))
     elif not estimated and suspected and tilt is not None:
         tilted = tuple(_unsearched_tilt(tilt))
-    if not searched:
-        return tilted
-    return (*tilted, *_spring_findings(result, mounting, estimated, training, drive, block_seconds))
+    springs: tuple[Finding, ...] = ()
+    if searched:
+        springs = tuple(
+            _spring_findings(result, mounting, estimated, training, drive, block_seconds)
+        )
+    return HiddenCauses((*tilted, *springs), None if estimated else mounting)
 
 
 def _mounting(

@@ -64,16 +64,19 @@ class BlockEquations:
         return int(self.scores.shape[1] - self.n_own)
 
     def selected(
-        self, most: int, admitted: Callable[[int, float], bool] = lambda column, value: True
+        self,
+        most: int,
+        admitted: Callable[[int, float], bool] = lambda column, value: True,
+        given: Sequence[int] = (),
     ) -> tuple[Chosen, ...]:
-        """Return at most so many columns in the order of choice.
+        """Return at most so many columns, beside those `given`, in the order of choice.
 
         Each time, of the columns that are significant beside those chosen (from time blocks, CR2 of
         Bell and McCaffrey, Survey Methodology 28, 2002), and whose value is `admitted`, the one is
         chosen that takes away most of the squared residual (forward selection: Efroymson 1960), if
         it lowers that of times left out as well (by one standard error over these).
         """
-        inside, found = list(range(self.n_own)), dict[int, Chosen]()
+        inside, found = self._places(given), dict[int, Chosen]()
         while len(found) < most:
             trials = sorted(self._trials(inside), key=lambda each: -each.share)
             best = next(
@@ -92,15 +95,15 @@ class BlockEquations:
             found[best.column] = best
         return tuple(found.values())
 
-    def together(self, columns: Sequence[int]) -> tuple[Chosen, ...]:
+    def together(self, columns: Sequence[int], given: Sequence[int] = ()) -> tuple[Chosen, ...]:
         """Return columns with their values in a fit with all of them, significant or not.
 
-        Those that cannot be distinguished from the others are left out.
+        Those that cannot be distinguished from the others, and from those `given`, are left out.
         """
-        inside = [*range(self.n_own), *(self.n_own + column for column in columns)]
+        inside = self._places((*given, *columns))
         return tuple(
             each
-            for place in inside[self.n_own :]
+            for place in inside[self.n_own + len(given) :]
             for each in self._trials([j for j in inside if j != place], [place], level=1.0)
         )
 
@@ -108,6 +111,10 @@ class BlockEquations:
     def residual(self) -> float:
         """Squared residual of the fit without candidates."""
         return float(self.squares.sum())
+
+    def _places(self, columns: Sequence[int]) -> list[int]:
+        """Return the places of the fit's own columns and of candidates."""
+        return [*range(self.n_own), *(self.n_own + column for column in columns)]
 
     def _predicts(self, inside: Sequence[int], column: int) -> bool:
         """Return whether a column lowers the squared residual of times that are left out."""

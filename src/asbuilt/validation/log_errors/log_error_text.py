@@ -10,6 +10,7 @@ import numpy as np
 
 from asbuilt.dynamics.drives.terms.spring import Spring
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.calibration.mounting import Mounting
 from asbuilt.validation.log_errors.error_columns import Kind
 from asbuilt.validation.log_errors.log_errors import LogError, log_errors
 from asbuilt.validation.prediction import torque_units
@@ -27,14 +28,15 @@ def log_error_findings(
     training: Sequence[Samples],
     *,
     springs: bool = True,
+    mounting: Mounting | None = None,
     block_seconds: float | None = None,
 ) -> tuple[Finding, ...]:
     """Return findings that name the errors of the log which the residual shows.
 
     Springs, which are errors of the model, are named with them unless `springs` says that they are
-    already.
+    already. The mounting is that of `log_errors`.
     """
-    found = log_errors(result, training, block_seconds=block_seconds)
+    found = log_errors(result, training, mounting=mounting, block_seconds=block_seconds)
     return tuple(_findings(result, found, springs))
 
 

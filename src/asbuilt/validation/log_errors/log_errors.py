@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.errors import AsbuiltError, IdentifiabilityError
+from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
+from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.generalisation.effect_evidence import plain_fit
@@ -88,6 +91,7 @@ def log_errors(
     result: IdentificationResult,
     training: Sequence[Samples],
     *,
+    mounting: Mounting | None = None,
     block_seconds: float | None = None,
 ) -> tuple[LogError, ...]:
     """Return the errors of the log that the residual of a result shows, the largest share first.
@@ -96,7 +100,9 @@ def log_errors(
     (`BlockEquations.selected`). Their values are then found by Gauss-Newton steps, each about the
     log with the errors so far taken out. A clock that explains most is named alone, for then the
     other columns were those of wrong velocities; one that is off by a factor is looked for at
-    some factors, and has to explain more than any other candidate.
+    some factors, and has to explain more than any other candidate. A base tilt that is chosen
+    first is estimated, and errors of the log are sought on the tilted robot: its column is that
+    of CAD's masses to first order, and what it leaves resembles wrong gains.
 
     Parameters
     ----------
@@ -104,6 +110,8 @@ def log_errors(
         The result; candidates are linearised about its values.
     training
         The samples it was identified from.
+    mounting
+        The mounting, if it has been estimated; otherwise it is where a tilt is chosen first.
     block_seconds
         Length of the time blocks of standard errors [s].
 
@@ -111,10 +119,29 @@ def log_errors(
     """
     if not training:
         return ()
+    searched = _thinned(training)
     try:
-        return _found(_Search(result, _thinned(training), block_seconds))
+        search = _Search(result.model, result.base, result.estimates, searched, block_seconds)
+        if search.tilt_is_first:
+            search = _tilted(search, mounting) or search
+        return _found(search)
     except (AsbuiltError, np.linalg.LinAlgError):
         return ()
+
+
+def _tilted(search: _Search, mounting: Mounting | None) -> _Search | None:
+    """Return the search on the robot with its base tilt; None if no tilt is significant."""
+    model, drive, seconds = search.model, search.base.drive, search.seconds
+    if mounting is None:
+        try:
+            mounting = find_mounting(model, search.training, drive=drive, block_seconds=seconds)
+        except (IdentifiabilityError, UsageError):
+            return None
+    if not mounting.is_tilted:
+        return None
+    base = find_base_parameters(mounting.model, drive)
+    values = plain_fit(mounting.model, base, search.training, seconds).beta
+    return _Search(mounting.model, base, values, search.training, seconds, tilted=True)
 
 
 def _found(search: _Search) -> tuple[LogError, ...]:
@@ -193,13 +220,23 @@ class _Search:
 
     def __init__(
         self,
-        result: IdentificationResult,
+        model: RobotModel,
+        base: BaseParameters,
+        values: Array,
         training: Sequence[Samples],
-        block_seconds: float | None,
+        seconds: float | None,
+        tilted: bool = False,
     ) -> None:
-        self._result, self._training, self._seconds = result, training, block_seconds
+        """Take the model, the values (p,) of its base parameters, samples, and length of blocks.
+
+        The fits of a `tilted` robot have the tilt too: it was estimated beside the log's errors.
+        """
+        self.model, self.base, self.training, self.seconds = model, base, training, seconds
         self._largest = largest_torques(training)
-        self._first = self._equations(_Corrected.nothing(len(self._largest)), result.estimates)
+        self._first = self._equations(_Corrected.nothing(len(self._largest)), values)
+        self._given = tuple(
+            j for j, each in enumerate(self._first[0].candidates) if tilted and each.kind == "tilt"
+        )
 
     def matters(self, error: LogError) -> bool:
         """Return whether an error of the log is large enough to name."""
@@ -230,8 +267,17 @@ class _Search:
     def _picked(self) -> tuple[Chosen, ...]:
         columns, equations = self._first
         return equations.selected(
-            MOST, lambda column, value: self._is_plausible(columns.candidates[column], value)
+            MOST,
+            lambda column, value: self._is_plausible(columns.candidates[column], value),
+            self._given,
         )
+
+    @property
+    def tilt_is_first(self) -> bool:
+        """Whether a base tilt is chosen before any error of the log."""
+        candidates = self._first[0].candidates
+        kinds = (candidates[each.column].kind for each in self._picked)
+        return next((kind for kind in kinds if kind == "tilt" or kind in BOUNDS), None) == "tilt"
 
     @property
     def largest_share(self) -> float:
@@ -265,7 +311,8 @@ class _Search:
             picked, columns = picked[:1], columns[:1]
         for _ in range(ROUNDS):
             solved = {
-                each.column: each for each in self._equations(taken, None)[1].together(columns)
+                each.column: each
+                for each in self._equations(taken, None)[1].together(columns, self._given)
             }
             steps = [
                 taken.take(own, solved[column].value) if column in solved else 0.0
@@ -280,7 +327,7 @@ class _Search:
         return []
 
     def _named(self, own: Candidate, value: float | None, solved: Chosen, share: float) -> LogError:
-        joint = None if own.joint is None else self._result.model.joint_names[own.joint]
+        joint = None if own.joint is None else self.model.joint_names[own.joint]
         factor = 1.0 if value is None or own.kind not in ("clock", "scale") else 1.0 + value
         return LogError(
             own.kind,
@@ -291,13 +338,13 @@ class _Search:
         )
 
     def _candidate(self, error: LogError) -> Candidate:
-        names = self._result.model.joint_names
+        names = self.model.joint_names
         return Candidate(error.kind, None if error.joint is None else names.index(error.joint))
 
     def _bounds(self, candidate: Candidate) -> Bounds | None:
         """Return the bounds of a candidate; None for what the model may lack."""
         if candidate.kind == "zero" and candidate.joint is not None:
-            revolute = self._result.model.joints[candidate.joint].is_revolute
+            revolute = self.model.joints[candidate.joint].is_revolute
             return BOUNDS["zero"] if revolute else PRISMATIC_ZERO
         return BOUNDS.get(candidate.kind)
 
@@ -308,21 +355,20 @@ class _Search:
 
     def _residual(self, change: Callable[[Samples], Samples]) -> float:
         """Return the squared residual of a fit to changed samples, weighted as the first fit."""
-        training = [change(samples) for samples in self._training]
-        estimate, weights = plain_fit(self._result, training, self._seconds), self._weights
+        training = [change(samples) for samples in self.training]
+        estimate = plain_fit(self.model, self.base, training, self.seconds)
         prediction = [
-            predict_torque(self._result.model, self._result.base, estimate.beta, samples)
-            for samples in training
+            predict_torque(self.model, self.base, estimate.beta, samples) for samples in training
         ]
-        return float(sum(np.sum((each.error * weights) ** 2) for each in prediction))
+        return float(sum(np.sum((each.error * self._weights) ** 2) for each in prediction))
 
     def _equations(
         self, taken: _Corrected, values: Array | None
     ) -> tuple[ErrorColumns, BlockEquations]:
         """Return candidates about values (None: those of the fit), and their normal equations."""
-        model, base = self._result.model, self._result.base
-        training = [taken.of(samples) for samples in self._training]
-        estimate = plain_fit(self._result, training, self._seconds)
+        model, base = self.model, self.base
+        training = [taken.of(samples) for samples in self.training]
+        estimate = plain_fit(self.model, self.base, training, self.seconds)
         columns = ErrorColumns(
             model, base, estimate.beta if values is None else values, self._largest
         )
@@ -334,7 +380,7 @@ class _Search:
             self._weights = np.asarray(estimate.weights)
         parts: list[tuple[Array, Array, float]] = []
         with one_blas_thread():
-            for part in sample_blocks(model, training, self._seconds):
+            for part in sample_blocks(model, training, self.seconds):
                 beside = partial(columns.evaluate, part.samples)
                 gram, score, square = np.zeros((r + m, r + m)), np.zeros(r + m), 0.0
                 for chunk in part.chunks(plan, beside):

@@ -28,7 +28,7 @@ from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
 )
-from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
+from asbuilt.validation.generalisation.hidden_causes import find_hidden_causes
 from asbuilt.validation.generalisation.missing_effects import (
     MissingEffect,
     confirmed_effects,
@@ -142,7 +142,7 @@ def _model_findings(
 ) -> tuple[Finding, ...]:
     """Return what the samples say against the model: effects and causes that it lacks."""
     prepared = fits.prepared
-    hidden = hidden_cause_findings(
+    hidden = find_hidden_causes(
         result,
         fits.samples,
         fits.choice.drive,
@@ -153,11 +153,12 @@ def _model_findings(
     of_log = log_error_findings(
         result,
         fits.samples if fits.servo is None else (),
-        springs=all(finding.code != "spring_suspected" for finding in hidden),
+        springs=all(finding.code != "spring_suspected" for finding in hidden.findings),
+        mounting=hidden.mounting,
         block_seconds=options.block_seconds,
     )
     return (
-        *hidden,
+        *hidden.findings,
         *of_log,
         *_gain_findings(fits.samples),
         *position_noise_findings(
