@@ -110,6 +110,23 @@ def test_one_joint_flipped(iiwa: RobotModel, clean: Recording, joint: int) -> No
     assert f"sign = [{', '.join('-1' if k == joint else '1' for k in range(7))}]" in str(found.cure)
 
 
+@pytest.mark.parametrize("flipped", [(1, 3), (0, 1, 2, 4, 5, 6)])
+def test_the_cure_of_one_flipped_joint_corrects_all(
+    iiwa: RobotModel, clean: Recording, flipped: tuple[int, ...]
+) -> None:
+    sign = np.where(np.isin(np.arange(7), flipped), -1.0, 1.0)
+    spoilt = replace(clean, tau=clean.tau * sign)
+    found = [
+        item
+        for item in check_recording(iiwa, spoilt).findings
+        if item.code in ("torque_flipped", "joint_torque_flipped")
+    ]
+    (cure,) = {str(item.cure) for item in found if item.severity == "error"}
+    signs = np.array([float(each) for each in cure.split("[")[1].split("]")[0].split(",")])
+    cured = check_recording(iiwa, replace(spoilt, tau=spoilt.tau * signs))
+    assert not {"torque_flipped", "joint_torque_flipped"} & set(cured.codes)
+
+
 @pytest.mark.parametrize("joint", range(7))
 def test_friction_decides_the_sign_of_joints_without_load(shared: Path, joint: int) -> None:
     lwr = load_robot(shared / "models" / "kuka_lwr4.urdf")

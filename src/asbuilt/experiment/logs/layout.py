@@ -12,7 +12,13 @@ from asbuilt.experiment.logs.joint_matching import (
     match_joints,
     numbers_in,
 )
-from asbuilt.experiment.logs.roles import Role, commanded, recognise, unit_scale
+from asbuilt.experiment.logs.roles import (
+    Role,
+    commanded,
+    recognise,
+    recognise_by_unit,
+    unit_scale,
+)
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.findings import Cure
@@ -65,8 +71,13 @@ def find_layout(
     model: RobotModel | None = None,
     sheet: RecordingSheet | None = None,
     known: Mapping[str, tuple[str, str]] | None = None,
+    order: Sequence[str] = (),
+    has_gains: bool = False,
 ) -> Layout:
     """Find the columns of each quantity from the sheet, what the format knows, and the usual names.
+
+    The numbers of a sheet count the columns in `order`, by default `names`. `has_gains` says that
+    gains are given beside the sheet's.
 
     Raises
     ------
@@ -79,9 +90,9 @@ def find_layout(
     for quantity in _QUANTITIES:
         listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
         if listed is not None:
-            groups[quantity, ""] = _listed(source, names, quantity, listed, sheet)
+            groups[quantity, ""] = _listed(source, names, order, quantity, listed, sheet)
     for key, columns in sheet.columns.extra.items():
-        groups[key, "sheet"] = _listed(source, names, key, columns, sheet)
+        groups[key, "sheet"] = _listed(source, names, order, key, columns, sheet)
     position = groups.get(("position", ""))
     torque, torque_source = _torque_group(groups)
     notes: list[str] = []
@@ -104,6 +115,8 @@ def find_layout(
             available=list(names),
             absent=absent,
         )
+    if torque is not None and not has_gains:
+        _refuse_unscaled(source, torque, sheet)
     chosen = _chosen(groups, position, torque)
     labels = _sorted_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(position.names)}
@@ -124,13 +137,13 @@ def find_layout(
             )
     joint_names = tuple(labels)
     if model is not None:
-        joint_names, order, matched = _order_for(model, source, labels, position, sheet)
+        joint_names, places, matched = _order_for(model, source, labels, position, sheet)
         ordered = {
-            quantity: tuple(columns[k] for k in order) for quantity, columns in ordered.items()
+            quantity: tuple(columns[k] for k in places) for quantity, columns in ordered.items()
         }
         notes.extend(matched)
     scales = _scales(chosen, sheet, notes)
-    time, time_scale = _time_column(source, names, groups, sheet)
+    time, time_scale = _time_column(source, names, order, groups, sheet)
     if time is not None:
         scales[time] = time_scale
     return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes))
@@ -146,9 +159,26 @@ def _chosen(
             continue
         if kind in ("", "sheet"):
             chosen[quantity] = group
-        else:
+        elif kind != "unscaled":
             chosen[_EXTRA_TORQUES[kind] if quantity == "torque" else f"{quantity}_{kind}"] = group
     return chosen
+
+
+def _refuse_unscaled(source: str, torque: _Group, sheet: RecordingSheet) -> None:
+    """Raise if the torques have a unit without a factor to N m, and no gains are given."""
+    role = torque.roles[0]
+    if role.kind == "unscaled" and sheet.gains is None and sheet.units.torque is None:
+        raise RecordingError(
+            f"{source}: the {role.quantity} columns ({torque.names[0]}, ...) are in {role.unit},"
+            " which does not say how many N m they are",
+            cure=Cure(
+                "give the torque per logged unit of each joint, such as a hundredth of its rated"
+                " torque for percent",
+                settings={"gain": None},
+            ),
+            file=source,
+            value=role.unit,
+        )
 
 
 def _own_columns(
@@ -186,21 +216,51 @@ def _group(
         group = groups.setdefault((role.quantity, role.kind), _Group())
         group.names.append(name)
         group.roles.append(role)
-    return groups
+    return {**_groups_by_unit(names, groups), **groups}
 
 
-def _column(source: str, names: Sequence[str], what: str, column: ColumnName) -> str:
+def _groups_by_unit(
+    names: Sequence[str], named: Mapping[tuple[str, str], _Group]
+) -> dict[tuple[str, str], _Group]:
+    """Return the columns of quantities that no column names, by their units."""
+    found: dict[tuple[str, str], _Group] = {}
+    quantities = {quantity for quantity, _ in named}
+    for name in names:
+        role = recognise_by_unit(name)
+        if role is not None and role.quantity not in quantities:
+            group = found.setdefault((role.quantity, ""), _Group())
+            group.names.append(name)
+            group.roles.append(role)
+    times = found.get(("time", ""))
+    if times is not None and len(times.names) > 1:
+        del found["time", ""]
+    return found
+
+
+def _column(
+    source: str, names: Sequence[str], order: Sequence[str], what: str, column: ColumnName
+) -> str:
     if isinstance(column, int):
-        if not 1 <= column <= len(names):
+        counted = order or names
+        if not 1 <= column <= len(counted):
             raise RecordingError(
                 f"{source}: the sheet gives column {column} for {what}, but columns run from 1 to"
-                f" {len(names)}",
+                f" {len(counted)}",
                 file=source,
                 value=column,
                 lower=1,
-                upper=len(names),
+                upper=len(counted),
             )
-        return names[column - 1]
+        name = counted[column - 1]
+        if name not in names:
+            raise RecordingError(
+                f"{source}: the sheet gives column {column} ({name!r}) for {what}, which holds text"
+                " in place of numbers",
+                cure=Cure("count the columns of the file from 1, those of text too"),
+                file=source,
+                value=column,
+            )
+        return name
     if column in names:
         return column
     listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
@@ -216,11 +276,12 @@ def _column(source: str, names: Sequence[str], what: str, column: ColumnName) ->
 def _listed(
     source: str,
     names: Sequence[str],
+    order: Sequence[str],
     what: str,
     columns: Sequence[ColumnName],
     sheet: RecordingSheet,
 ) -> _Group:
-    found = [_column(source, names, what, column) for column in columns]
+    found = [_column(source, names, order, what, column) for column in columns]
     repeated = [name for name in found if found.count(name) > 1]
     if repeated:
         raise RecordingError(
@@ -252,6 +313,8 @@ def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | No
         ("torque", "sensor"): "sensor",
         ("torque", "motor"): "motor",
         ("current", ""): "current",
+        ("torque", "unscaled"): "unknown",
+        ("current", "unscaled"): "current",
     }
     for key, torque_source in sources.items():
         if key in groups:
@@ -418,12 +481,13 @@ def _scales(
 def _time_column(
     source: str,
     names: Sequence[str],
+    order: Sequence[str],
     groups: Mapping[tuple[str, str], _Group],
     sheet: RecordingSheet,
 ) -> tuple[str | None, float]:
     unit = unit_scale(sheet.units.time) if sheet.units.time else None
     if sheet.columns.time is not None:
-        name = _column(source, names, "time", sheet.columns.time)
+        name = _column(source, names, order, "time", sheet.columns.time)
         return name, unit or 1.0
     group = groups.get(("time", ""))
     if group is None:

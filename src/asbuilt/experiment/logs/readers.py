@@ -12,7 +12,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
 from asbuilt.experiment.logs.formats.frames import is_columns, table_of_columns
 from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
-from asbuilt.experiment.logs.layout import find_layout
+from asbuilt.experiment.logs.layout import Layout, find_layout
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
 from asbuilt.experiment.logs.role_files import merge_role_files, role_groups
 from asbuilt.experiment.logs.roles import quantity_of_file, recognise
@@ -63,7 +63,7 @@ def read_recording(
     chosen = reading_options(options, settings)
     if is_columns(source):
         sheet, notes = _given_sheet(chosen.sheet)
-        return _recording(table_of_columns(source), sheet, notes, model, chosen, None)
+        return _recording(table_of_columns(source), sheet, notes, model, chosen)
     listed = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
     if not listed:
         raise RecordingError("no recording is given; give at least one file")
@@ -73,7 +73,7 @@ def read_recording(
     table = _read_tables(listed, sheet)
     if len(listed) == 1 and not table.known:
         _refuse_lone_role_file(listed[0], table)
-    return _recording(table, sheet, notes, model, chosen, listed[0])
+    return _recording(table, sheet, notes, model, chosen)
 
 
 def read_recordings(
@@ -136,25 +136,43 @@ def _recording(
     notes: tuple[str, ...],
     model: RobotModel | None,
     options: ReadingOptions,
-    path: Path | None,
 ) -> Recording:
+    layout = layout_of(table, sheet, model, options)
+    rate = options.rate if options.rate is not None else sheet.rate
+    recording = build_recording(table, layout, rate=rate)
+    recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
+    return apply_sheet(recording, sheet, options)
+
+
+def layout_of(
+    table: LogTable, sheet: RecordingSheet, model: RobotModel | None, options: ReadingOptions
+) -> Layout:
+    """Return the layout of a table; where that fails the error has the draft of a sheet.
+
+    Raises
+    ------
+    RecordingError
+        As `find_layout` does, and for columns without names that no sheet describes.
+    """
     if not table.named and sheet.columns.position is None:
-        raise _unnamed_columns(table, path, model, options.rate)
+        raise _unnamed_columns(table, model, options.rate)
     try:
-        layout = find_layout(
-            table.source, tuple(table.columns), model=model, sheet=sheet, known=table.known
+        return find_layout(
+            table.source,
+            tuple(table.columns),
+            model=model,
+            sheet=sheet,
+            known=table.known,
+            order=table.order,
+            has_gains=options.gain is not None,
         )
     except RecordingError as problem:
         text = ", ".join(table.text_columns)
         more = [*table.notes, *([f"columns that hold no numbers: {text}"] if text else [])]
         problem.message = ". ".join([problem.message.rstrip("."), *more])
-        if "absent" in problem.fields and table.columns:
+        if "absent" in problem.fields and table.n_samples:
             problem.cure = Cure(f"{problem.cure}{_draft(table, model, options.rate)}")
         raise
-    rate = options.rate if options.rate is not None else sheet.rate
-    recording = build_recording(table, layout, rate=rate)
-    recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
-    return apply_sheet(recording, sheet, options)
 
 
 def _given_sheet(
@@ -225,24 +243,30 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
 
 def _draft(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
     """Return the draft of a sheet for columns whose names are of no use, empty if none fits."""
-    sheet = suggest_sheet(table.columns, model, named=table.named, rate=rate)
+    sheet = _suggested(table, model, rate)
     if DRAFT in sheet:
         return ""
     return f". From the values it may read (check it):\n\n{sheet}\n"
 
 
+def _suggested(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
+    order = table.order or tuple(table.columns)
+    numbers = [order.index(name) + 1 for name in table.columns]
+    return suggest_sheet(table.columns, model, named=table.named, rate=rate, numbers=numbers)
+
+
 def _unnamed_columns(
-    table: LogTable, path: Path | None, model: RobotModel | None, rate: float | None
+    table: LogTable, model: RobotModel | None, rate: float | None
 ) -> RecordingError:
-    sheet = suggest_sheet(table.columns, model, rate=rate)
-    stem = "recording" if path is None else path.stem
+    count = len(table.order or table.columns)
     return RecordingError(
-        f"{table.source} has {len(table.columns)} columns without a header row",
+        f"{table.source} has {count} columns without a header row",
         cure=Cure(
-            f"name them in a recording sheet {stem}.toml beside it; from the values it may read as"
-            " follows (column numbers from 1; check it, and add gains = [...] and torque_source if"
-            f" the torques are currents):\n\n{sheet}\n"
+            f"name them in a recording sheet {Path(table.source).stem}.toml beside it; from the"
+            " values it may read as follows (column numbers from 1; check it, and add gains = [...]"
+            " and torque_source if the torques are currents):\n\n"
+            f"{_suggested(table, model, rate)}\n"
         ),
         file=table.source,
-        value=len(table.columns),
+        value=count,
     )

@@ -21,11 +21,17 @@ _WORDS: dict[str, Quantity] = {
             "clock",
             "duration",
             "elapsed",
+            "uptime",
+            "zeit",
+            "temps",
+            "tiempo",
+            "tempo",
+            "ipoc",
         ),
         "time",
     ),
     **dict.fromkeys(
-        ("position", "positions", "pos", "angle", "angles", "theta", "qpos"), "position"
+        ("position", "positions", "pos", "angle", "angles", "theta", "qpos", "winkel"), "position"
     ),
     **dict.fromkeys(
         (
@@ -40,6 +46,7 @@ _WORDS: dict[str, Quantity] = {
             "qdot",
             "thetadot",
             "dtheta",
+            "geschwindigkeit",
         ),
         "velocity",
     ),
@@ -48,10 +55,24 @@ _WORDS: dict[str, Quantity] = {
         "acceleration",
     ),
     **dict.fromkeys(
-        ("torque", "torques", "effort", "efforts", "tau", "taus", "moment", "moments", "trq"),
+        (
+            "torque",
+            "torques",
+            "effort",
+            "efforts",
+            "eff",
+            "tau",
+            "taus",
+            "moment",
+            "moments",
+            "drehmoment",
+            "trq",
+        ),
         "torque",
     ),
-    **dict.fromkeys(("current", "currents", "curr", "amps", "ampere", "amperes"), "current"),
+    **dict.fromkeys(
+        ("current", "currents", "curr", "amps", "ampere", "amperes", "strom"), "current"
+    ),
 }
 _SYMBOLS: dict[str, Quantity] = {
     "t": "time",
@@ -74,6 +95,13 @@ _PAIRS: dict[tuple[str, ...], Quantity] = {
 }
 _KUKA_POSITION = ("axis", "act")
 """Words of the positions in traces of KUKA controllers, such as `$AXIS_ACT` and `AxisAct.A1`."""
+_RSI = {"AIPos.": "position (deg) ", "ASPos.": "position (deg) ", "MACur.": "current "}
+"""Names of KUKA's sensor interface, and what they say."""
+_RSI_COMMAND = "ASPos."
+_NO_CLOCK = {"latency", "delay", "dt", "delta", "period", "cycle", "jitter", "step", "flight"}
+"""Words of times that are not those of the samples."""
+_JOINT = {"joint", "joints", "jnt", "axis", "achse", "j", "a", "dof"}
+"""Words before the number of a joint."""
 _DESIRED = {
     "target",
     "targets",
@@ -134,18 +162,37 @@ _MEASURED = {
 _PREFIXES = _MEASURED - {"hat", "joint", "joints", "j"}
 """Words before a joint's name that do not belong to it."""
 _MOTOR = {"motor", "motors"}
+_NO_FACTOR = {"percent", "pct", "percentage", "count", "counts", "tick", "ticks"}
+"""Units that another quantity, such as the rated torque, has to turn into SI."""
 _SENSOR = {"sensor", "sensors"}
+_ANGLES: tuple[Quantity, ...] = ("position", "velocity", "acceleration")
 _UNITS: dict[str, float] = {
     **dict.fromkeys(("rad", "m", "s", "sec", "n", "nm", "n m", "n*m", "n.m", "a"), 1.0),
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
+    **dict.fromkeys(("deg", "degree", "degrees", "grad", "°"), math.pi / 180),
+    **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
+    "rpm": math.pi / 30,
     **dict.fromkeys(("mrad", "mm", "ms", "mnm", "mn m", "ma"), 1e-3),
     **dict.fromkeys(("us", "µs"), 1e-6),
     **dict.fromkeys(("knm", "kn m"), 1e3),
     **dict.fromkeys(("ncm", "n cm"), 1e-2),
     "ns": 1e-9,
 }
+_TIMES = {"s", "sec", "ms", "us", "µs", "ns"}
+_QUANTITY_OF_UNIT: dict[tuple[str, int], Quantity] = {
+    **{
+        (angle, order): quantity
+        for angle in ("rad", "deg", "degree", "degrees", "grad", "°", "mrad", "rev", "turn")
+        for order, quantity in enumerate(_ANGLES)
+    },
+    **{(unit, 0): "torque" for unit in ("nm", "n m", "n*m", "n.m", "mnm", "mn m", "knm", "kn m")},
+    ("rpm", 0): "velocity",
+    ("a", 0): "current",
+    ("ma", 0): "current",
+}
+"""Quantities of joints by unit, and by how often it is per second."""
 _UNIT_SUFFIX = re.compile(
-    r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma)(?:_?(?:p|per)?_?s\d?)?(?=[_ .]?\d*$)"
+    r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma|rpm)(?:_?(?:p|per)?_?(s[2²]?))?"
+    r"(?=[_ .]?\d*$)"
 )
 _TOKEN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
@@ -155,7 +202,8 @@ class Role:
     """Hold what the name of a column gives.
 
     `joint` is the name of the joint ("" if it only counts), `index` its last number, `scale` the
-    factor to SI, `kind` one of "", "external", "motor" or "sensor".
+    factor to SI, `kind` one of "", "external", "motor", "sensor" or, if the unit has no factor,
+    "unscaled".
     """
 
     quantity: Quantity
@@ -194,17 +242,29 @@ def recognise(name: str) -> Role | None:
     ('torque', 'elbow_joint')
     >>> recognise("target_q_1")
     """
+    if name.startswith(_RSI_COMMAND):
+        return None
+    for start, meant in _RSI.items():
+        name = meant + name.removeprefix(start) if name.startswith(start) else name
     bare, index, unit = _without_brackets(name.replace("τ", "tau").replace("θ", "theta"))
     spans = [(m.group().lower(), m.start(), m.end()) for m in _TOKEN.finditer(bare)]
     words = [word for word, _, _ in spans]
     quantity, used = _quantity(words)
     if quantity is None or (set(words) - {words[k] for k in used}) & (_DESIRED | _OTHER):
         return None
-    rest = [k for k in range(len(words)) if k not in used]
+    if quantity == "time" and set(words) & _NO_CLOCK:
+        return None
+    unscaled = _unit_without_factor(name, words)
+    unit = unscaled or ("ms" if "ipoc" in words else unit)
+    rest = [k for k in range(len(words)) if k not in used and words[k] != unscaled]
     scale = unit_scale(unit) if unit else None
     left = {words[k] for k in rest}
+    if unscaled and left & _EXTERNAL:
+        return None
     kind = (
-        "external"
+        "unscaled"
+        if unscaled
+        else "external"
         if left & _EXTERNAL
         else (
             "motor"
@@ -261,6 +321,8 @@ def commanded(name: str) -> Role | None:
     >>> commanded("q_1"), commanded("target_velocity_1")
     (None, None)
     """
+    if name.startswith(_RSI_COMMAND):
+        name = f"command {_RSI[_RSI_COMMAND]}{name.removeprefix(_RSI_COMMAND)}"
     spans = list(_TOKEN.finditer(name))
     desired = [m for m in spans if m.group().lower() in _DESIRED - {"error", "err"}]
     if not desired or {m.group().lower() for m in spans} & {"error", "err"}:
@@ -275,6 +337,37 @@ def commanded(name: str) -> Role | None:
     if role is None or role.quantity != "position" or role.kind:
         return None
     return replace(role, quantity="command")
+
+
+def recognise_by_unit(name: str) -> Role | None:
+    """Return the role of a column that names a numbered joint or nothing, and a unit.
+
+    An angle is a position, per second a velocity. None for names that `recognise` knows, and for
+    desired values and other quantities.
+
+    Examples
+    --------
+    >>> recognise_by_unit("rob1_joint_1_deg").quantity, recognise_by_unit("A2 [Nm]").index
+    ('position', 2)
+    >>> recognise_by_unit("step [ms]"), recognise_by_unit("heading_deg")
+    (None, None)
+    """
+    bare, _, unit, order = _with_unit(name)
+    words = words_of(bare)
+    if not unit or recognise(name) is not None or set(words) & (_DESIRED | _OTHER | _EXTERNAL):
+        return None
+    kind = unit.lower().split("/")[0].strip()
+    if kind in _TIMES:
+        return None if set(words) & _NO_CLOCK else Role("time", scale=_UNITS[kind], unit=unit)
+    numbered = [
+        int(words[k + 1])
+        for k in range(len(words) - 1)
+        if words[k] in _JOINT and words[k + 1].isdigit()
+    ]
+    quantity = _QUANTITY_OF_UNIT.get((kind, order))
+    if quantity is None or not numbered:
+        return None
+    return Role(quantity, index=numbered[-1], scale=_UNITS[kind], unit=unit)
 
 
 def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:
@@ -293,6 +386,11 @@ def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:
 
 def _without_brackets(name: str) -> tuple[str, int | None, str]:
     """Split "position[3] (deg)" into the bare name, the index and the unit."""
+    return _with_unit(name)[:3]
+
+
+def _with_unit(name: str) -> tuple[str, int | None, str, int]:
+    """Split "speed[3] (deg/s)" into the bare name, the index, the unit and its order in time."""
     index: int | None = None
     unit = ""
     for content in re.findall(r"[\[(]([^\])]*)[\])]", name):
@@ -303,8 +401,19 @@ def _without_brackets(name: str) -> tuple[str, int | None, str]:
     bare = re.sub(r"[\[(][^\])]*[\])]", "", name)
     suffix = _UNIT_SUFFIX.search(bare)
     if suffix and not unit:
-        return bare[: suffix.start()] + bare[suffix.end() :], index, suffix.group(1)
-    return bare, index, unit
+        bare = bare[: suffix.start()] + bare[suffix.end() :]
+        return bare, index, suffix.group(1), _order(suffix.group(2) or "")
+    return bare, index, unit, _order(unit.partition("/")[2])
+
+
+def _order(per: str) -> int:
+    """Return how often a unit is per second, from what follows its stroke."""
+    return 0 if not per else 2 if per.strip()[-1] in "2²" else 1
+
+
+def _unit_without_factor(name: str, words: list[str]) -> str:
+    """Return the unit in a name that has no factor to SI, "" if there is none."""
+    return "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
 
 
 def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:

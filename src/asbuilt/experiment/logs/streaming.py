@@ -11,12 +11,19 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, clock_origin
 from asbuilt.experiment.logs.formats.frames import numbers
-from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
-from asbuilt.experiment.logs.layout import find_layout
+from asbuilt.experiment.logs.formats.log_format import LogStream, LogTable, log_format
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
-from asbuilt.experiment.logs.readers import check_readable, find_sheet, read_recording
+from asbuilt.experiment.logs.readers import (
+    check_readable,
+    find_sheet,
+    layout_of,
+    read_recording,
+)
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 
+DRAFTED = 2000
+"""Samples by which the draft of a sheet is made."""
 _STREAMED = ("position", "velocity", "acceleration", "torque", "command")
 
 
@@ -56,14 +63,16 @@ def stream_recording(
     sheet, notes = find_sheet(path, chosen.sheet)
     whole_first = sheet.files.position is not None or sheet.sign == "command"
     stream = None if whole_first or path.suffix == ".toml" else log_format(path).stream
-    names = None if stream is None else stream.columns(path, sheet)
-    if stream is None or names is None:
+    header = None if stream is None else stream.header(path, sheet)
+    if stream is None or header is None:
         whole = read_recording(path, model=model, options=replace(chosen, sheet=sheet))
         for begin in range(0, whole.n_samples, chunk_samples):
             yield whole.taken(slice(begin, begin + chunk_samples))
         return
-    source = str(path)
-    layout = find_layout(source, names, model=model, sheet=sheet)
+    try:
+        layout = layout_of(header, sheet, model, chosen)
+    except RecordingError:
+        layout = layout_of(_first_rows(stream, header, path, sheet), sheet, model, chosen)
     quantities = {name: layout.quantities[name] for name in _STREAMED if name in layout.quantities}
     layout = replace(layout, quantities=quantities)
     rate = chosen.rate if chosen.rate is not None else sheet.rate
@@ -72,7 +81,7 @@ def stream_recording(
     start = 0.0
     for first, frame in stream.frames(path, sheet, layout.columns, chunk_samples):
         columns = {name: numbers(frame[name]) for name in layout.columns}
-        table = LogTable(source=source, columns=columns)
+        table = replace(header, columns=columns)
         if origin is None and layout.time is not None:
             t = table.columns[layout.time] * layout.scales[layout.time]
             origin = clock_origin(t)
@@ -85,3 +94,10 @@ def stream_recording(
                 continue
             chunk = chunk.taken(inside)
         yield chunk
+
+
+def _first_rows(stream: LogStream, header: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
+    """Return the first rows of all numeric columns, by which an error drafts a sheet."""
+    for _, frame in stream.frames(path, sheet, tuple(header.columns), DRAFTED):
+        return replace(header, columns={name: numbers(frame[name]) for name in header.columns})
+    return header

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import gravity_torque
+from asbuilt.experiment.logs.roles import unit_scale
 
 CLEAR_LOAD = 0.5
 """Correlation with gravity's torque from which a group is taken for torques."""
@@ -20,7 +22,16 @@ LARGEST_ANGLE = 400.0
 """Positions beyond are none, neither in radians nor in degrees."""
 MOST_SAMPLES = 2000
 """Samples that a guess looks at."""
-
+DEGREE = np.pi / 180
+LARGEST_RADIANS = 4 * np.pi
+"""Positions beyond are degrees: few axes turn twice either way."""
+CLEARLY_BETTER = 0.1
+"""Correlation with gravity's torque by which positions are rather degrees than radians."""
+DEGREES_PER_RADIAN = 180 / np.pi
+RADIANS_ARE_LESS = DEGREE**0.5
+"""Ratio of velocities to the slope of positions in degrees, above which they are degrees too."""
+STEPS = {"ns": 2e5, "us": 200.0, "ms": 0.2, "s": -np.inf}
+"""Units of time, and the least median step in each: 0.2 s."""
 
 DRAFT = '[columns]\ntime = 1\nposition = "2-7"\ntorque = "8-13"'
 """What a sheet looks like, where nothing of it can be guessed."""
@@ -32,12 +43,14 @@ def suggest_sheet(
     *,
     named: bool = False,
     rate: float | None = None,
+    numbers: Sequence[int] | None = None,
 ) -> str:
     """Return a recording sheet for columns of unknown meaning, as far as their values decide it.
 
-    An increasing first column is time, a group that is another's derivative its velocity. With a
-    robot, torque is the first group that correlates clearly with its gravity torques at the
-    positions; without one, the first of the groups left over.
+    The first column that increases, other than a counter of the rows, is time; a group that is
+    another's derivative is its velocity. With a robot, torque is the first group that correlates
+    clearly with its gravity torques at the positions, which are degrees if that correlates better;
+    without one, the first of the groups left over.
 
     Parameters
     ----------
@@ -49,65 +62,131 @@ def suggest_sheet(
         Whether the file has a header row.
     rate
         The sampling rate that was given [Hz].
+    numbers
+        The number of each column in the file, from 1; by default they count up.
     """
     values = list(columns.values())
-    has_time = int(bool(values) and _increases(values[0]))
+    places = list(range(1, len(values) + 1)) if numbers is None else list(numbers)
+    time, skipped = _time_and_counters(values)
+    rest = values[skipped:]
+    places_of_rest = places[skipped:]
+    clock = None if time is None else values[time]
+    n_joints = _joints_by_derivative(rest, clock) if model is None else model.n_joints
     head = [] if named else ["header = false"]
-    n_rest = len(values) - has_time
-    n_joints = (
-        _joints_by_derivative(values[has_time:], values[0] if has_time else None)
-        if model is None
-        else model.n_joints
-    )
     if rate is not None:
         head.append(f"rate = {rate:g}")
-    if not n_joints or n_rest < 2 * n_joints:
+    if not n_joints or len(rest) < 2 * n_joints:
         return "\n".join([*head, DRAFT])
-    if not has_time and rate is None:
+    if clock is None and rate is None:
         head.append("rate = 100  # Hz")
-    t = values[0] if has_time else np.arange(values[0].size, dtype=np.float64)
     groups = [
-        np.column_stack(values[has_time + k * n_joints : has_time + (k + 1) * n_joints])
-        for k in range(n_rest // n_joints)
+        np.column_stack(rest[k : k + n_joints])
+        for k in range(0, len(rest) - n_joints + 1, n_joints)
     ]
-    lines = [*head, "[columns]"]
-    if has_time:
-        lines.append("time = 1")
-    position, velocity, torques = _roles(t, groups, model)
-    span = {
-        k: f'"{has_time + k * n_joints + 1}-{has_time + (k + 1) * n_joints}"'
-        for k in range(len(groups))
-    }
-    lines.append(f"position = {span[position]}")
+    spans = [
+        _span(places_of_rest[k : k + n_joints])
+        for k in range(0, len(rest) - n_joints + 1, n_joints)
+    ]
+    units: dict[str, str] = {}
+    if clock is not None and (unit := _time_unit(clock)) != "s":
+        units["time"], clock = unit, clock * (unit_scale(unit) or 1.0)
+    t = np.arange(values[0].size) / (rate or 100.0) if clock is None else clock
+    position, velocity, torques, degrees = _roles(t, groups, model)
+    if degrees:
+        units["position"] = "deg"
     if velocity is not None:
-        lines.append(f"velocity = {span[velocity]}")
+        units |= _velocity_unit(t, groups[position], groups[velocity], degrees)
+    if units:
+        listed = ", ".join(f'{name} = "{unit}"' for name, unit in units.items())
+        head.append(f"units = {{ {listed} }}")
+    lines = [*head, "[columns]"]
+    if time is not None:
+        lines.append(f"time = {places[time]}")
+    lines.append(f"position = {spans[position]}")
+    if velocity is not None:
+        lines.append(f"velocity = {spans[velocity]}")
     if torques:
-        also = f"  # or {', '.join(span[k] for k in torques[1:])}" if len(torques) > 1 else ""
-        lines.append(f"torque = {span[torques[0]]}{also}")
-    over = n_rest - n_joints * len(groups)
+        also = ", ".join(spans[k] for k in torques[1:])
+        lines.append(f"torque = {spans[torques[0]]}{f'  # or {also}' if also else ''}")
+    over = len(rest) - n_joints * len(groups)
     if over:
         lines.append(f"# {over} more columns follow")
     return "\n".join(lines)
 
 
+def _time_and_counters(values: Sequence[Array]) -> tuple[int | None, int]:
+    """Return which column is time, and how many lead, time and counters of the rows alike."""
+    for k, each in enumerate(values):
+        if _counts_rows(each):
+            continue
+        return (k, k + 1) if _increases(each) else (None, k)
+    return None, len(values)
+
+
+def _counts_rows(values: Array) -> bool:
+    return values.size > 2 and values[0] in (0.0, 1.0) and bool(np.all(np.diff(values) == 1.0))
+
+
+def _span(places: Sequence[int]) -> str:
+    """Return numbers of columns as a sheet has them: "2-4", or ["2-4", "6-7"] with gaps."""
+    cuts = [0, *(k for k in range(1, len(places)) if places[k] != places[k - 1] + 1), len(places)]
+    parts = [(places[begin], places[stop - 1]) for begin, stop in pairwise(cuts)]
+    texts = [f'"{first}-{last}"' if first != last else str(first) for first, last in parts]
+    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
+
+
+def _time_unit(values: Array) -> str:
+    """Return the unit of times by their median step, that of a rate between 5 and 5000 Hz."""
+    step = float(np.median(np.diff(values[np.isfinite(values)])))
+    return next(unit for unit, least in STEPS.items() if step >= least)
+
+
+def _velocity_unit(t: Array, q: Array, qd: Array, degrees: bool) -> dict[str, str]:
+    """Return the unit of velocities under its name where it is not that of the positions in SI."""
+    slope = np.gradient(q, t, axis=0)
+    ok = np.isfinite(slope) & np.isfinite(qd)
+    factor = float(np.sqrt(np.sum(qd[ok] ** 2) / max(float(np.sum(slope[ok] ** 2)), 1e-30)))
+    in_degrees = factor > DEGREES_PER_RADIAN**0.5 if not degrees else factor > RADIANS_ARE_LESS
+    return {"velocity": "deg/s"} if in_degrees else {}
+
+
 def _roles(
     t: Array, groups: list[Array], model: RobotModel | None
-) -> tuple[int, int | None, list[int]]:
-    """Return the groups of positions and velocities, and those of torques, the likeliest first."""
+) -> tuple[int, int | None, list[int], bool]:
+    """Return the groups of positions and velocities, those of torques, the likeliest first.
+
+    And whether the positions are degrees.
+    """
     position, velocity = _position_and_velocity(t, groups)
-    loads = None if model is None else _load_matches(model, groups)
-    if loads is not None and velocity is None:
-        position = int(np.argmax(np.max(loads, axis=1)))
+    if model is None:
+        rest = [k for k in range(len(groups)) if k not in (position, velocity)]
+        return position, velocity, rest, bool(_largest(groups[position]) > LARGEST_RADIANS)
+    plain, turned = _load_matches(model, groups, 1.0), _load_matches(model, groups, DEGREE)
+    if velocity is None:
+        best = np.maximum(np.max(plain, axis=1), np.max(turned, axis=1))
+        position = int(np.argmax(best))
+    degrees = _largest(groups[position]) > LARGEST_RADIANS or (
+        np.max(turned[position]) > CLEAR_LOAD
+        and np.max(turned[position]) > np.max(plain[position]) + CLEARLY_BETTER
+    )
+    loads = (turned if degrees else plain)[position]
     rest = [k for k in range(len(groups)) if k not in (position, velocity)]
-    if loads is not None and np.max(loads[position]) > CLEAR_LOAD:
-        rest.sort(key=lambda k: loads[position, k] < NEAR_LOAD * np.max(loads[position]))
-    return position, velocity, rest
+    if np.max(loads) > CLEAR_LOAD:
+        rest.sort(key=lambda k: loads[k] < NEAR_LOAD * np.max(loads))
+    return position, velocity, rest, bool(degrees)
 
 
-def _load_matches(model: RobotModel, groups: list[Array]) -> Array:
+def _largest(values: Array) -> float:
+    """Return the largest finite magnitude, 0 if there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else 0.0
+
+
+def _load_matches(model: RobotModel, groups: list[Array], scale: float) -> Array:
     """Return how each group (column) follows gravity's torques at each group (row) as positions.
 
-    The largest magnitude of the correlation over the joints that carry much of the load.
+    Positions times `scale` are radians. The median magnitude of the correlation over the joints
+    that carry much of the load.
     """
     matches = np.zeros((len(groups), len(groups)))
     step = max(1, groups[0].shape[0] // MOST_SAMPLES)
@@ -115,7 +194,7 @@ def _load_matches(model: RobotModel, groups: list[Array]) -> Array:
         rows = q[::step]
         if not np.all(np.isfinite(rows)) or np.abs(rows).max() > LARGEST_ANGLE:
             continue
-        load = gravity_torque(model, rows)
+        load = gravity_torque(model, scale * rows)
         heavy = np.ptp(load, axis=0) > 0.1 * max(float(np.ptp(load, axis=0).max()), 1e-9)
         for k, tau in enumerate(groups):
             if k != i:

@@ -5,15 +5,14 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.frames import numbers
+from asbuilt.experiment.logs.formats.frames import numbers, seconds_of_text
 from asbuilt.experiment.logs.formats.isolated import LIMITS
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
@@ -41,7 +40,10 @@ _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 
 @dataclass(frozen=True)
 class Dialect:
-    """Describe a text file; `separator` is "" for blanks, `skip` lines precede the data."""
+    """Describe a text file; `separator` is "" for blanks, `skip` lines precede the data.
+
+    Of the text columns those of dates and times are `dated`.
+    """
 
     separator: str
     decimal_comma: bool
@@ -49,14 +51,26 @@ class Dialect:
     names: tuple[str, ...]
     named: bool
     text_columns: tuple[str, ...]
+    dated: tuple[str, ...] = ()
+
+    @property
+    def numeric(self) -> tuple[str, ...]:
+        """Columns that become numbers, in the order of the file."""
+        text = set(self.text_columns) - set(self.dated)
+        return tuple(name for name in self.names if name not in text)
 
 
 def find_dialect(
-    path: Path, *, header: bool | None = None, separator: str | None = None
+    path: Path,
+    *,
+    header: bool | None = None,
+    separator: str | None = None,
+    numbered: bool = False,
 ) -> Dialect:
     """Find separator, header row and column names from the first lines.
 
-    If `header` is None, a first line without numbers is the header row.
+    If `header` is None, a first line is the header row unless its cells are numbers, or text,
+    where those of the second line are. If the columns are `numbered` a name may be repeated.
 
     Raises
     ------
@@ -79,7 +93,9 @@ def find_dialect(
     )
     fields = _fields(lines[first], separator)
     has_header = (
-        not all(_is_number(field, decimal_comma) for field in fields) if header is None else header
+        _is_header(fields, [_fields(lines[k], separator) for k in body[1:3]], decimal_comma)
+        if header is None
+        else header
     )
     skip, names = first, fields
     if has_header:
@@ -122,12 +138,14 @@ def find_dialect(
             upper=LIMITS.columns,
         )
     repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
+    if repeated and numbered:
+        names = [f"{name} ({k})" if name in repeated else name for k, name in enumerate(names, 1)]
+    elif repeated:
         places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
         raise RecordingError(
             f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times"
             f" (columns {places})",
-            cure=Cure("rename one of them"),
+            cure=Cure("rename one of them, or number all columns in a recording sheet"),
             file=str(path),
             value=repeated[0],
         )
@@ -137,6 +155,11 @@ def find_dialect(
         for name, cell in itertools.zip_longest(names, data, fillvalue="")
         if name and not _is_number(cell, decimal_comma) and cell not in _MISSING
     )
+    dated = tuple(
+        name
+        for name, cell in zip(names, data, strict=False)
+        if name in text and seconds_of_text(pl.Series([cell])) is not None
+    )
     if len(text) == len(names):
         raise RecordingError(
             f"{path} is not a recording: line {skip + 1} holds no number"
@@ -145,7 +168,31 @@ def find_dialect(
             file=str(path),
             line=skip + 1,
         )
-    return Dialect(separator, decimal_comma, skip, tuple(names), has_header, text)
+    return Dialect(separator, decimal_comma, skip, tuple(names), has_header, text, dated)
+
+
+def _is_header(fields: list[str], rows: list[list[str]], decimal_comma: bool) -> bool:
+    """Return whether the first line names the columns, by the lines after it."""
+    numeric = [_is_number(field, decimal_comma) for field in fields]
+    if not any(numeric):
+        return True
+    counted = [float(field) for field, is_number in zip(fields, numeric, strict=True) if is_number]
+    counts = len(counted) < len(fields) and counted in (
+        [float(k) for k in range(len(counted))],
+        [float(k) for k in range(1, len(counted) + 1)],
+    )
+    alike = [
+        [_is_number(field, decimal_comma) or field in _MISSING for field in row] == numeric
+        for row in rows
+    ]
+    return not all(numeric) and (counts or not rows or not all(alike))
+
+
+def _dialect_of(path: Path, sheet: RecordingSheet) -> Dialect:
+    separator = "" if sheet.separator == " " else sheet.separator
+    return find_dialect(
+        path, header=sheet.header, separator=separator, numbered=sheet.columns.numbered
+    )
 
 
 def scan_delimited(path: Path, dialect: Dialect) -> pl.LazyFrame:
@@ -170,39 +217,51 @@ def without_blank_lines(frame: pl.LazyFrame) -> pl.LazyFrame:
     return frame.filter(~pl.all_horizontal(pl.all().is_null()))
 
 
-def read_delimited(
-    path: Path, *, header: bool | None = None, separator: str | None = None
-) -> LogTable:
+def read_delimited(path: Path, dialect: Dialect | None = None) -> LogTable:
     """Read a text file delimited by commas, semicolons, tabs, bars or blanks.
 
-    Empty cells become NaN; a cell that is not a number raises with its line and column.
+    Empty cells become NaN, dates and times seconds; a cell that is neither raises with its line
+    and column.
 
     Raises
     ------
     RecordingError
         If the file is not a table of numbers.
     """
-    dialect = find_dialect(path, header=header, separator=separator)
+    dialect = find_dialect(path) if dialect is None else dialect
     if dialect.separator == "":
         return _read_blank_delimited(path, dialect)
     try:
         frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
         raise bad_cell(path, dialect, error) from error
-    columns: dict[str, Array] = {}
-    for name in frame.columns:
-        series = frame[name]
-        if series.dtype == pl.String:
-            continue
-        columns[name] = numbers(series)
-    for name, values in _times_from_text(frame, dialect.text_columns).items():
-        columns[name] = values
+    frame = _with_times(path, frame, dialect)
+    return replace(
+        _header_of(path, dialect),
+        columns={name: numbers(frame[name]) for name in dialect.numeric},
+    )
+
+
+def _header_of(path: Path, dialect: Dialect) -> LogTable:
+    """Return the table of a file without its rows."""
     return LogTable(
         source=str(path),
-        columns=columns,
+        columns={name: np.empty(0) for name in dialect.numeric},
         named=dialect.named,
-        text_columns=tuple(n for n in dialect.text_columns if n not in columns),
+        text_columns=tuple(name for name in dialect.names if name not in dialect.numeric),
+        order=dialect.names,
     )
+
+
+def _with_times(path: Path, frame: pl.DataFrame, dialect: Dialect) -> pl.DataFrame:
+    """Return a frame whose columns of dates and times are seconds."""
+    times = []
+    for name in set(dialect.dated) & set(frame.columns):
+        seconds = seconds_of_text(frame[name])
+        if seconds is None:
+            raise bad_cell(path, dialect, ValueError(f"column {name!r} holds no times"))
+        times.append(pl.Series(name, seconds))
+    return frame.with_columns(times)
 
 
 def bad_cell(path: Path, dialect: Dialect, error: Exception) -> RecordingError:
@@ -228,13 +287,17 @@ def bad_cell(path: Path, dialect: Dialect, error: Exception) -> RecordingError:
                     line=line,
                 )
             for name, cell in zip(dialect.names, fields, strict=False):
+                if cell in _MISSING or name not in dialect.numeric:
+                    continue
+                dated = name in dialect.dated
                 if (
-                    name not in dialect.text_columns
-                    and cell not in _MISSING
-                    and not _is_number(cell, dialect.decimal_comma)
+                    seconds_of_text(pl.Series([cell])) is None
+                    if dated
+                    else not _is_number(cell, dialect.decimal_comma)
                 ):
+                    what = "date or time" if dated else "number"
                     return RecordingError(
-                        f"{path}, line {line}, column {name!r}: {cell!r} is not a number",
+                        f"{path}, line {line}, column {name!r}: {cell!r} is not a {what}",
                         cure=Cure("repair the cell or remove the line"),
                         file=str(path),
                         line=line,
@@ -256,19 +319,6 @@ def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
         columns={name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(dialect.names)},
         named=dialect.named,
     )
-
-
-def _times_from_text(frame: pl.DataFrame, names: tuple[str, ...]) -> dict[str, Array]:
-    """Turn columns of ISO dates and times into seconds."""
-    times = {}
-    for name in names:
-        try:
-            stamps = frame[name].str.to_datetime(strict=True, time_unit="ns")
-        except pl.exceptions.PolarsError:
-            continue
-        nanoseconds = stamps.cast(pl.Int64).to_numpy()
-        times[name] = (nanoseconds - nanoseconds[0]).astype(np.float64) * 1e-9
-    return times
 
 
 def _first_lines(path: Path, count: int = 64) -> list[str]:
@@ -335,29 +385,23 @@ def _is_number(text: str, decimal_comma: bool) -> bool:
     return True
 
 
-def _columns(path: Path, sheet: RecordingSheet) -> tuple[str, ...] | None:
-    """Return the numeric columns of a file that can be read lazily."""
-    if _is_echo(path, sheet) or sheet.separator == " " or find_dialect(path).separator == "":
+def _header(path: Path, sheet: RecordingSheet) -> LogTable | None:
+    """Return the table of a file that can be read lazily, without its rows."""
+    if _is_echo(path, sheet):
         return None
-    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
-    if not dialect.named and sheet.columns.position is None:
-        raise RecordingError(
-            f"{path} has {len(dialect.names)} columns without a header row",
-            cure=Cure("name them in a recording sheet: [columns] position = ..."),
-            file=str(path),
-        )
-    return tuple(name for name in dialect.names if name not in dialect.text_columns)
+    dialect = _dialect_of(path, sheet)
+    return None if dialect.separator == "" else _header_of(path, dialect)
 
 
 def _frames(
     path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, pl.DataFrame]]:
-    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
+    dialect = _dialect_of(path, sheet)
     scanned = without_blank_lines(scan_delimited(path, dialect).select(columns))
     done = 0
     try:
         for frame in scanned.collect_batches(chunk_size=chunk_samples, maintain_order=True):
-            yield done, frame
+            yield done, _with_times(path, frame, dialect)
             done += frame.height
     except pl.exceptions.PolarsError as error:
         raise bad_cell(path, dialect, error) from error
@@ -372,8 +416,7 @@ def _is_echo(path: Path, sheet: RecordingSheet) -> bool:
 def _read(path: Path, sheet: RecordingSheet) -> LogTable:
     if _is_echo(path, sheet):
         return read_topic_echo(path)
-    separator = "" if sheet.separator == " " else sheet.separator
-    return read_delimited(path, header=sheet.header, separator=separator)
+    return read_delimited(path, _dialect_of(path, sheet))
 
 
 FORMATS.register(
@@ -381,8 +424,6 @@ FORMATS.register(
     LogFormat(
         suffixes=(".csv", ".dat", ".tsv", ".txt"),
         read=_read,
-        stream=LogStream(
-            columns=_columns, frames=_frames, n_bytes=lambda path: path.stat().st_size
-        ),
+        stream=LogStream(header=_header, frames=_frames, n_bytes=lambda path: path.stat().st_size),
     ),
 )

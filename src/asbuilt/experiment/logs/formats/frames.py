@@ -45,7 +45,7 @@ def table_of_columns(item: Any) -> LogTable:
             f" ({', '.join(found)})"
         )
     text = tuple(name for name in found if name not in columns)
-    return LogTable(source="data frame", columns=columns, text_columns=text)
+    return LogTable(source="data frame", columns=columns, text_columns=text, order=tuple(found))
 
 
 def numbers(series: pl.Series) -> Array:
@@ -65,6 +65,25 @@ def seconds(series: pl.Series) -> Array:
         .fill_null(float("nan"))
         .to_numpy()
     )
+
+
+def seconds_of_text(series: pl.Series) -> Array | None:
+    """Turn cells of dates and times, or of times of day, into seconds; None if they are neither.
+
+    Seconds since 1970 or since midnight; empty cells become NaN.
+
+    >>> seconds_of_text(pl.Series(["00:01:00.5", None])).tolist()
+    [60.5, nan]
+    """
+    try:
+        return seconds(series.str.to_datetime(strict=True, time_unit="ns"))
+    except pl.exceptions.PolarsError:
+        pass
+    try:
+        of_day = series.str.to_time("%H:%M:%S%.f", strict=True)
+    except pl.exceptions.PolarsError:
+        return None
+    return (of_day.cast(pl.Int64).cast(pl.Float64) * 1e-9).fill_null(float("nan")).to_numpy()
 
 
 def _numbers(values: Array) -> Array | None:

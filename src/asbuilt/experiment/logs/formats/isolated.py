@@ -97,6 +97,7 @@ def read_isolated(read: Callable[..., LogTable], path: Path, **settings: str | N
         text_columns=tuple(table["text_columns"]),
         known={name: (what, joint) for name, (what, joint) in table["known"].items()},
         notes=tuple(table["notes"]),
+        order=tuple(table["order"]),
     )
 
 
@@ -227,6 +228,7 @@ def _answer(request: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
         "text_columns": list(table.text_columns),
         "known": {name: list(each) for name, each in table.known.items()},
         "notes": list(table.notes),
+        "order": list(table.order),
     }
     return {"table": document}, list(table.columns.values())
 

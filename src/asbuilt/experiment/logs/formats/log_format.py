@@ -44,6 +44,9 @@ class LogTable:
         Quantity and joint of columns whose format gives them, such as a ROS message.
     notes
         What was assumed or left out, in sentences.
+    order
+        Names of all columns in the order of the file, those of text too, by which a sheet numbers
+        them; by default the numeric ones.
     """
 
     source: str
@@ -52,6 +55,7 @@ class LogTable:
     text_columns: tuple[str, ...] = ()
     known: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    order: tuple[str, ...] = ()
 
     @property
     def n_samples(self) -> int:
@@ -65,8 +69,8 @@ class LogStream:
 
     Parameters
     ----------
-    columns
-        Return the names of the numeric columns of a file; None if it must be read whole.
+    header
+        Return the table of a file without its rows; None if it must be read whole.
     frames
         Yield the index of the first row and the frame of the given columns, for each chunk of so
         many rows.
@@ -74,7 +78,7 @@ class LogStream:
         Return about how much memory a file takes.
     """
 
-    columns: Callable[[Path, RecordingSheet], tuple[str, ...] | None]
+    header: Callable[[Path, RecordingSheet], LogTable | None]
     frames: Callable[[Path, RecordingSheet, Sequence[str], int], Iterator[tuple[int, pl.DataFrame]]]
     n_bytes: Callable[[Path], float]
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
+from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.frames import numbers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
@@ -31,7 +33,7 @@ AHEAD = 32e6
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
-    """Open a Parquet file lazily, with the names of its numeric and of its other columns.
+    """Open a Parquet file lazily, with the names of its numeric columns and of all.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, 
             cure=Cure("write numbers, a column for each joint"),
             file=str(path),
         )
-    return frame, numeric, tuple(name for name in schema if name not in numeric)
+    return frame, numeric, tuple(schema)
 
 
 def read_parquet(path: Path) -> LogTable:
@@ -67,18 +69,17 @@ def read_parquet(path: Path) -> LogTable:
     RecordingError
         If the file is no Parquet file of numbers.
     """
-    scanned, numeric, text = scan_parquet(path)
+    scanned, numeric, order = scan_parquet(path)
     frame = scanned.select(numeric).collect()
-    columns = {name: numbers(frame[name]) for name in numeric}
-    return LogTable(source=str(path), columns=columns, text_columns=text)
+    return _table(path, {name: numbers(frame[name]) for name in numeric}, order)
 
 
 def _frames(
     path: Path, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, pl.DataFrame]]:
     """Read chunks in this process, whose damage ends in an error too."""
-    rows, names = _declared(path)
-    missing = [name for name in columns if name not in names]
+    rows, header = _declared(path)
+    missing = [name for name in columns if name not in header.columns]
     if missing:
         raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
     chunks = max(1, int(AHEAD / (8 * max(len(columns), 1) * chunk_samples)))
@@ -106,7 +107,7 @@ def parquet_header(path: Path) -> LogTable:
     RecordingError
         If the file is no Parquet file of numbers, or declares more than its size can hold.
     """
-    scanned, numeric, text = scan_parquet(path)
+    scanned, numeric, order = scan_parquet(path)
     rows = int(scanned.select(pl.len()).collect().item())
     if rows * len(numeric) * 8 > 1e9 + 1000 * path.stat().st_size:
         raise RecordingError(
@@ -114,29 +115,35 @@ def parquet_header(path: Path) -> LogTable:
             " its size",
             file=str(path),
         )
-    columns = {name: np.empty(0) for name in numeric}
-    return LogTable(source=str(path), columns=columns, text_columns=text, notes=(str(rows),))
+    return _table(path, {name: np.empty(0) for name in numeric}, order, notes=(str(rows),))
 
 
-def _declared(path: Path) -> tuple[int, tuple[str, ...]]:
-    """Return the number of rows and the numeric columns, read once for each state of a file."""
+def _table(
+    path: Path, columns: Mapping[str, Array], order: tuple[str, ...], notes: tuple[str, ...] = ()
+) -> LogTable:
+    text = tuple(name for name in order if name not in columns)
+    return LogTable(source=str(path), columns=columns, text_columns=text, order=order, notes=notes)
+
+
+def _declared(path: Path) -> tuple[int, LogTable]:
+    """Return the number of rows and the table without them, read once for each state of a file."""
     check_regular(path, "recording", RecordingError, LARGEST)
     state = path.stat()
     return _declared_by(path, state.st_size, state.st_mtime_ns)
 
 
 @lru_cache(maxsize=64)
-def _declared_by(path: Path, size: int, changed: int) -> tuple[int, tuple[str, ...]]:
+def _declared_by(path: Path, size: int, changed: int) -> tuple[int, LogTable]:
     header = read_isolated(parquet_header, path)
-    return int(header.notes[0]), tuple(header.columns)
+    return int(header.notes[0]), replace(header, notes=())
 
 
 def _n_bytes(path: Path) -> float:
     """Return the memory of a whole file; a small file need not be opened for it."""
     if path.stat().st_size < SMALL:
         return float(path.stat().st_size)
-    rows, names = _declared(path)
-    return float(rows * len(names) * 8)
+    rows, header = _declared(path)
+    return float(rows * len(header.columns) * 8)
 
 
 FORMATS.register(
@@ -145,7 +152,7 @@ FORMATS.register(
         suffixes=(".parquet",),
         read=lambda path, sheet: read_isolated(read_parquet, path),
         stream=LogStream(
-            columns=lambda path, sheet: _declared(path)[1],
+            header=lambda path, sheet: _declared(path)[1],
             frames=lambda path, sheet, columns, size: _frames(path, columns, size),
             n_bytes=_n_bytes,
         ),

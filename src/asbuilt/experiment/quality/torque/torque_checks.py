@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,41 +149,50 @@ def _sign_and_scale(
         for k in sorted(clear, key=lambda k: -predicted[k])[:3]
     )
     flipped = sum(correlation[k] < 0 for k in clear) * 2 > len(clear)
+    sign = -1.0 if flipped else 1.0
+    scale = float(np.median([abs(gain[k]) for k in clear]))
+    relative = np.abs(gain) / scale
+    odd_low, odd_high = THRESHOLDS.odd
+    usual = (odd_low < relative) & (relative < odd_high)
+    alone = [
+        k
+        for k in np.flatnonzero(large & usual).tolist()
+        if sign * correlation[k] < -(THRESHOLDS.clear if k in clear else THRESHOLDS.certain)
+    ]
     if flipped:
         yield Finding(
             "torque_flipped",
             "error",
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
-            Cure(
+            _signs_cure(model, sign, alone)
+            if alone
+            else Cure(
                 "flip the torque sign, or write sign = -1 in a recording sheet",
                 settings={"flip_torque": True},
             ),
         )
-    sign = -1.0 if flipped else 1.0
-    scale = float(np.median([abs(gain[k]) for k in clear]))
-    relative = np.abs(gain) / scale
-    odd_low, odd_high = THRESHOLDS.odd
-    usual = (odd_low < relative) & (relative < odd_high)
-    for k in np.flatnonzero(large & usual).tolist():
-        threshold = THRESHOLDS.clear if k in clear else THRESHOLDS.certain
-        if sign * correlation[k] < -threshold:
-            yield _one_flipped(
-                model,
-                k,
-                "error",
-                f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
-                f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
-            )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
-    for k in np.flatnonzero(unclear & (friction < -THRESHOLDS.braking)).tolist():
-        yield _one_flipped(
+    braking = np.flatnonzero(unclear & (friction < -THRESHOLDS.braking))
+    doubtful = [k for k in braking.tolist() if k not in alone]
+    for k in alone:
+        yield _flipped_joint(
+            model,
+            k,
+            "error",
+            f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
+            f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
+            _signs_cure(model, sign, alone),
+        )
+    for k in doubtful:
+        yield _flipped_joint(
             model,
             k,
             "warning",
             f"the torque of {names[k]} correlates negatively with its direction of motion"
             f" ({friction[k]:.2f}), unlike friction; its sign may be flipped",
+            _signs_cure(model, sign, [*alone, *doubtful]),
         )
     low, high = THRESHOLDS.plausible
     if not low < scale < high:
@@ -234,15 +243,16 @@ def _no_correlation(
     )
 
 
-def _one_flipped(model: RobotModel, k: int, severity: Severity, message: str) -> Finding:
-    signs = ", ".join("-1" if i == k else "1" for i in range(model.n_joints))
-    return Finding(
-        "joint_torque_flipped",
-        severity,
-        message,
-        Cure(f"flip its sign in a recording sheet: sign = [{signs}]"),
-        joint=model.joint_names[k],
-    )
+def _signs_cure(model: RobotModel, sign: float, flipped: Collection[int]) -> Cure:
+    """Return the cure of signs, where the `flipped` joints have the opposite of all others."""
+    signs = ", ".join(f"{-sign if k in flipped else sign:.0f}" for k in range(model.n_joints))
+    return Cure(f"write sign = [{signs}] in a recording sheet, times the signs that it has")
+
+
+def _flipped_joint(
+    model: RobotModel, k: int, severity: Severity, message: str, cure: Cure
+) -> Finding:
+    return Finding("joint_torque_flipped", severity, message, cure, joint=model.joint_names[k])
 
 
 def _scale_finding(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
