@@ -32,6 +32,7 @@ def test_blocks_of_two_motions_are_told_apart(robot):
 
 
 def choice_of(robot, betas, variance=0.0, weights=(10.0, 0.0), certain=(True, True)):
+    """Choose among estimates that are the same for each group (p,), or not (n_folds, p)."""
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.2, seconds=60.0, seed=3, parallel=False)
     information = accumulate_stream(model, base, [samples], block_seconds=5.0)
@@ -39,7 +40,7 @@ def choice_of(robot, betas, variance=0.0, weights=(10.0, 0.0), certain=(True, Tr
     motion = random_motion_rows(model, base, recorded_rates([samples]))
     prior = np.diag(np.linspace(1.0, 2.0, base.n_base))
     candidates = [
-        Candidate(f"c{k}", weight, np.tile(values, (len(parts), 1)), sure)
+        Candidate(f"c{k}", weight, np.broadcast_to(values, (len(parts), base.n_base)), sure)
         for k, (values, weight, sure) in enumerate(zip(betas, weights, certain, strict=True))
     ]
     found = choose_candidate(candidates, parts, information, np.ones(3), prior, motion, variance)
@@ -80,11 +81,20 @@ def test_ties_go_to_the_candidate_closest_to_cad(robot):
     assert choice_of(robot, [1.5 * beta, beta])[0].chosen == 1
 
 
-def test_inconsistent_values_need_two_standard_errors(robot):
+def test_inconsistent_values_must_predict_better_beyond_chance(robot):
     beta = robot[2]
     sure = choice_of(robot, [1.5 * beta, beta], certain=(True, False))[0]
     assert sure.chosen == 1
-    assert choice_of(robot, [beta, beta], certain=(True, False))[0].chosen == 0
+    found, *_, parts = choice_of(robot, [beta, beta], certain=(True, False))
+    assert found.chosen == 0
+    rng, p_values = np.random.default_rng(0), []
+    for _ in range(40):
+        drawn = beta * (1.0 + 0.1 * rng.normal(size=(2, len(parts), len(beta))))
+        found = choice_of(robot, drawn, certain=(True, False))[0]
+        test = ttest_rel(found.totals[0], found.totals[1], alternative="greater")
+        p_values.append(float(test.pvalue))
+        assert (found.chosen == 1) is (p_values[-1] < 0.05)
+    assert 0 < np.sum(np.array(p_values) < 0.05) < np.sum(np.array(p_values) < 0.16)
 
 
 def test_extrapolation_decides_where_folds_cannot(robot):

@@ -95,7 +95,7 @@ def estimate_auto(data: EstimationData) -> Estimate:
        the distance from CAD supports them (`supported_belief`; that of 1 always), `consistent`,
        and the values of step 1, in this order. The first is chosen whose error on other motions is
        within one standard error of the least; physically inconsistent values only if they are
-       better than every consistent candidate by one.
+       better than every consistent candidate beyond chance (Student's test).
 
     The error on other motions is that on groups of time blocks of different motion, held out in
     turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that

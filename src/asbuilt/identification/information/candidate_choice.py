@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 SMALLEST_INFORMATION = 1e-11
 """Scaled information, relative to the largest, below which least squares determine nothing."""
-CERTAIN = 1.0
-"""Standard errors by which physically inconsistent values must predict better to be chosen."""
+BY_CHANCE = 0.05
+"""Probability by which physically inconsistent values that predict no better are chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +96,8 @@ def choose_candidate(
     show. h is the mean leverage of torques, the trace of `W (A + weight P)^-1 W^T` over their
     number: A the information of the rows fitted, P the `prior_information` of CAD (p, p). As well
     means within one standard error of the paired differences (Breiman, Friedman, Olshen & Stone,
-    1984, section 3.4.3). Values that contradict what is certain must be better by `CERTAIN`.
+    1984, section 3.4.3). Values that contradict what is certain must be better beyond chance, by
+    Student's test of the paired differences: of few groups one standard error is little.
 
     Parameters
     ----------
@@ -145,8 +147,9 @@ def choose_candidate(
     totals = errors + beyond[:, None]
     consistent = [c for c, each in enumerate(candidates) if each.certain]
     best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))] if consistent else 0
+    surely = float(stdtrit(max(len(parts) - 1, 1), 1.0 - BY_CHANCE))
     for c in range(len(candidates)):
-        if c not in consistent and _exceeds(totals[best] - totals[c], CERTAIN):
+        if c not in consistent and _exceeds(totals[best] - totals[c], surely):
             best = c
     chosen = next(
         c
