@@ -56,6 +56,18 @@ HEAVY = (
     "pydantic",
     "lxml",
 )
+USED_LATER = (
+    "scipy.linalg",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.stats",
+    "scipy.interpolate",
+    "scipy.io",
+    "clarabel",
+    "matplotlib",
+    "plotly",
+)
+"""Packages that are imported once a robot and its recordings have been read."""
 
 
 def imported_modules(path: Path) -> list[str]:
@@ -204,6 +216,43 @@ def test_start_up_loads_nothing_heavy(statement: str) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == ""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "robots",
+        "show ur10e",
+        "check ur10e LOG",
+        "identify ur10e LOG",
+        "identify ur10e LOG --validate LOG2 --payload LOG3",
+        "gains ur10e LOG --loaded LOG2 --mass 1",
+        "channels ur10e LOG --motor LOG2",
+        "review ur10e LOG",
+        "validate ur10e LOG",
+        "excite LOG",
+        "program LOG LOG2 --format franka",
+    ],
+)
+def test_bad_input_is_refused_before_anything_heavy_is_loaded(
+    arguments: str, tmp_path: Path
+) -> None:
+    for name in ("LOG", "LOG2", "LOG3"):
+        (tmp_path / f"{name}.csv").write_text("t,q_1,tau_1\n0,1,2\n0.1,x,2\n")
+    given = [
+        str(tmp_path / f"{each}.csv") if each.startswith("LOG") else each
+        for each in arguments.split()
+    ]
+    code = (
+        "import sys\nfrom asbuilt.cli.app import main\ntry:\n    status = main(sys.argv[1:])\n"
+        "except SystemExit as end:\n    status = end.code\n"
+        f"print(status, *[m for m in {USED_LATER!r} if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *given], capture_output=True, text=True, check=True
+    )
+    status = "1" if "LOG" in arguments else "0"
+    assert done.stdout.strip().splitlines()[-1] == status, done.stderr
 
 
 def option_spellings() -> set[str]:

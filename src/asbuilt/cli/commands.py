@@ -12,7 +12,8 @@ class Entry:
     Parameters
     ----------
     module
-        Module of `asbuilt.cli` that has the function of the same name.
+        Module of `asbuilt.cli` that has the function of the same name; it imports what computes
+        after it has read robots and recordings, so that bad input is refused early.
     summary
         First line of its help, at most 66 characters.
     examples
@@ -121,7 +122,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "check_recording",
         ),
         "gains": Entry(
-            "recording",
+            "calibration.gains",
             "Find torque per logged unit from a payload of known mass.",
             (
                 "ur10e bare.csv --loaded loaded.csv --mass 5",
@@ -130,7 +131,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "find_gains",
         ),
         "channels": Entry(
-            "recording",
+            "calibration.channels",
             "Identify link and motor side from two torque channels.",
             (
                 "kuka-iiwa7-r800 sensors.csv --motor motors.csv",
@@ -171,7 +172,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "review",
         ),
         "payload": Entry(
-            "identify",
+            "calibration.payload",
             "Find mass, centre and inertia of what the flange carries.",
             (
                 "study/result.json loaded.csv",

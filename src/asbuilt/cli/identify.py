@@ -31,6 +31,7 @@ from asbuilt.cli.arguments.options import (
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.tables import wrapped
 from asbuilt.workflow.options import (
     AUTOMATIC,
     BLOCKS,
@@ -62,10 +63,6 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a robot from recordings, and validate the result."""
-    from asbuilt.workflow.calibration.payload_study import identify_payload
-    from asbuilt.workflow.study import identify as identify_robot
-    from asbuilt.writers.reports.study_files import study_document, study_text, write_study
-
     distinct_logs(log, validate, payload)
     model, swept = described_robot(robot, fixed_base=reading.fixed_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
@@ -75,6 +72,10 @@ def identify(
         model, (recordings, others, loaded) = robot_and_recordings(
             model, reading, log, validate, payload
         )
+        from asbuilt.workflow.calibration.payload_study import identify_payload
+        from asbuilt.workflow.study import identify as identify_robot
+        from asbuilt.writers.reports.study_files import study_document, study_text, write_study
+
         study = identify_robot(
             model, recordings, validation=others, options=options, progress=report
         )
@@ -132,22 +133,6 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Predict recordings with an identified model, and with CAD beside it."""
-    from asbuilt.tables import wrapped
-    from asbuilt.validation.comparison.comparison import compare
-    from asbuilt.validation.generalisation.cad_verdict import cad_verdict
-    from asbuilt.workflow.simulation.rollout import roll_out_result, roll_out_robot
-    from asbuilt.workflow.validation import validate as validate_result
-    from asbuilt.workflow.validation import validate_robot
-    from asbuilt.writers.files import path_texts
-    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
-    from asbuilt.writers.reports.study_files import write_validations
-    from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
-    from asbuilt.writers.tables.tabular import (
-        described_document,
-        described_torque_table,
-        validate_document,
-    )
-
     distinct_logs(log)
     if rollout is None:
         refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
@@ -161,35 +146,22 @@ def validate(
             "--require compares an identified model with CAD; a robot as described is CAD",
             {"--require": require},
         )
-        if out is not None and not options.rollout:
-            raise UsageError(
-                "--out writes the predictions of a result; for a robot as described there is only"
-                " the table, and a page of its rollouts (--rollout)"
-            )
-        model, (logged,) = robot_and_recordings(
-            described_robot(result, fixed_base=reading.fixed_base), reading, log
-        )
-        errors = validate_robot(model, logged, options=options)
-        simulated = roll_out_robot(model, logged, options.rollout, options=options)
-        files = write_rollouts(model, simulated, out, animation)
-        answer(
-            as_json,
-            lambda: (
-                with_rollouts(described_document(model, errors), simulated)
-                | ({"files": path_texts(files)} if files else {})
-            ),
-            lambda: (
-                described_torque_table(model, errors).as_text(full)
-                + rollout_text(model, simulated, full=full, cure_text=cure_text)
-                + (listed_files(files) if files else "")
-            ),
-        )
+        _validate_described(result, log, options, reading, out, animation, full, as_json)
         return
     identified = read_result(Path(result))
     if options.chain is not None and filtering.delay is None and identified.chain is not None:
         kept = replace(options.chain, delay=identified.chain.delay)
         options = replace(options, chain=kept)
     logged = recordings_of(identified.model, log, reading)
+    from asbuilt.validation.comparison.comparison import compare
+    from asbuilt.validation.generalisation.cad_verdict import cad_verdict
+    from asbuilt.workflow.simulation.rollout import roll_out_result
+    from asbuilt.workflow.validation import validate as validate_result
+    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
+    from asbuilt.writers.reports.study_files import write_validations
+    from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
+    from asbuilt.writers.tables.tabular import validate_document
+
     validations = validate_result(identified, logged, options=options)
     simulated = roll_out_result(identified, logged, options.rollout, options=options)
     files = write_validations(out, identified, validations) if out is not None else {}
@@ -212,6 +184,49 @@ def validate(
     )
     if require and any(verdict.is_worse for verdict in verdicts):
         raise typer.Exit(1)
+
+
+def _validate_described(
+    robot: str,
+    log: list[Path],
+    options: ValidationOptions,
+    reading: ReadingOptions,
+    out: Path | None,
+    animation: Path | None,
+    full: bool,
+    as_json: bool,
+) -> None:
+    """Predict recordings with a robot as described."""
+    if out is not None and not options.rollout:
+        raise UsageError(
+            "--out writes the predictions of a result; for a robot as described there is only"
+            " the table, and a page of its rollouts (--rollout)"
+        )
+    model, (logged,) = robot_and_recordings(
+        described_robot(robot, fixed_base=reading.fixed_base), reading, log
+    )
+    from asbuilt.workflow.simulation.rollout import roll_out_robot
+    from asbuilt.workflow.validation import validate_robot
+    from asbuilt.writers.files import path_texts
+    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
+    from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
+    from asbuilt.writers.tables.tabular import described_document, described_torque_table
+
+    errors = validate_robot(model, logged, options=options)
+    simulated = roll_out_robot(model, logged, options.rollout, options=options)
+    files = write_rollouts(model, simulated, out, animation)
+    answer(
+        as_json,
+        lambda: (
+            with_rollouts(described_document(model, errors), simulated)
+            | ({"files": path_texts(files)} if files else {})
+        ),
+        lambda: (
+            described_torque_table(model, errors).as_text(full)
+            + rollout_text(model, simulated, full=full, cure_text=cure_text)
+            + (listed_files(files) if files else "")
+        ),
+    )
 
 
 def compare(
@@ -265,19 +280,6 @@ def compare(
 
     What differs, what that costs in torque, which causes explain it; or two results of one robot.
     """
-    from asbuilt.identification.result.determination import determination
-    from asbuilt.validation.attribution.attribution import attribute
-    from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-    from asbuilt.validation.comparison.comparison import compare as compare_with
-    from asbuilt.validation.comparison.drift import compare_results
-    from asbuilt.workflow.controller_model import compare_controller
-    from asbuilt.writers.reports.compare_files import (
-        CadVerdict,
-        with_files,
-        write_comparison,
-        write_drift,
-    )
-
     identified, files = read_result(result), {}
     if sum(choice is not None for choice in (cad, other, controller)) > 1:
         raise UsageError(
@@ -293,6 +295,22 @@ def compare(
             "tolerances are those of CAD, with which --with and --controller compare nothing",
             {"--cad-tolerance": cad_tolerance is not None},
         )
+    recording = (
+        None if controller is None else recordings_of(identified.model, [controller], reading)[0]
+    )
+    from asbuilt.identification.result.determination import determination
+    from asbuilt.validation.attribution.attribution import attribute
+    from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+    from asbuilt.validation.comparison.comparison import compare as compare_with
+    from asbuilt.validation.comparison.drift import compare_results
+    from asbuilt.workflow.controller_model import compare_controller
+    from asbuilt.writers.reports.compare_files import (
+        CadVerdict,
+        with_files,
+        write_comparison,
+        write_drift,
+    )
+
     if other is not None:
         drift = compare_results(identified, read_result(other), labels=(str(result), str(other)))
         files = write_drift(out, drift) if out is not None else {}
@@ -302,8 +320,7 @@ def compare(
             lambda: drift.as_text(full) + listed_files(files),
         )
         return
-    if controller is not None:
-        recording = recordings_of(identified.model, [controller], reading)[0]
+    if recording is not None:
         beside = compare_controller(
             identified,
             recording,
@@ -334,71 +351,4 @@ def compare(
         as_json,
         lambda: with_files(verdict.as_document(), files),
         lambda: verdict.as_text(full) + listed_files(files),
-    )
-
-
-def payload(
-    result: Result,
-    log: Logs,
-    *,
-    options: PayloadOptions,
-    unloaded: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more"
-        ),
-    ] = None,
-    validate: Judges = None,
-    gain_uncertainty: Annotated[
-        str | None,
-        typer.Option(
-            "--gain-uncertainty",
-            metavar="7%|P1,P2,...",
-            help=(
-                "relative error of the torque per ampere, for all joints or each (default: 7% for"
-                " currents, 5% for motor torques, 0 for sensors; more where gravity torques are"
-                " far from CAD's)"
-            ),
-        ),
-    ] = None,
-    reading: ReadingOptions,
-    filtering: Filtering,
-    out: Out = None,
-    full: Full = False,
-    as_json: AsJson = False,
-) -> None:
-    """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
-    from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
-    from asbuilt.workflow.calibration.payload_study import identify_payload
-    from asbuilt.writers.tables.payload_tables import payload_document, payload_text
-    from asbuilt.writers.tables.tabular import write_json
-
-    distinct_logs(log, unloaded, validate)
-    identified = read_result(result)
-    loaded, bare, others = (
-        recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
-    )
-    options = replace(
-        options,
-        chain=filtering.chain(),
-        gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
-    )
-    with progress_bar() as report:
-        found = identify_payload(
-            identified,
-            loaded,
-            unloaded=bare,
-            validation=others,
-            options=options,
-            progress=report,
-        )
-    files = (
-        {"payload": write_json(out / "payload.json", payload_document(found))}
-        if out is not None
-        else {}
-    )
-    answer(
-        as_json,
-        lambda: payload_document(found, files),
-        lambda: payload_text(found, full) + listed_files(files),
     )

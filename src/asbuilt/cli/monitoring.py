@@ -52,8 +52,6 @@ def watch(
     those on the robot, at the tool, in root axes.
     """
     from asbuilt.workflow.watching.threshold_files import read_thresholds
-    from asbuilt.workflow.watching.watch import watch as watch_log
-    from asbuilt.writers.reports.watch_files import watch_document, write_watched
 
     if calibrate and thresholds is not None:
         raise UsageError("--thresholds and --calibrate exclude each other; give one of them")
@@ -62,10 +60,15 @@ def watch(
     given = None if thresholds is None else read_thresholds(thresholds)
     with progress_bar() as report:
         report("read", 0.0)
+        logged = recordings_of(identified.model, [log], reading)[0]
+        quiet = recordings_of(identified.model, calibrate, reading)
+        from asbuilt.workflow.watching.watch import watch as watch_log
+        from asbuilt.writers.reports.watch_files import watch_document, write_watched
+
         watched = watch_log(
             identified,
-            recordings_of(identified.model, [log], reading)[0],
-            calibrate=recordings_of(identified.model, calibrate, reading),
+            logged,
+            calibrate=quiet,
             thresholds=given,
             options=options,
             progress=report,

@@ -90,19 +90,6 @@ def excite(
     as_json: AsJson = False,
 ) -> None:
     """Design the most informative motion within the limits of a robot."""
-    from asbuilt.excitation.design.design import design_motion
-    from asbuilt.excitation.design.static_poses import design_static_poses
-    from asbuilt.identification.information.known_information import known_information
-    from asbuilt.writers.motion_files import write_motion
-    from asbuilt.writers.programs.format import program_format
-    from asbuilt.writers.reports.motion_report import write_motion_report
-    from asbuilt.writers.tables.design_tables import (
-        excite_document,
-        excite_text,
-        static_document,
-        static_text,
-    )
-
     if not 0.0 < rate < math.inf:
         raise UsageError(f"--rate takes a positive number of Hz, got {rate:g}")
     if rate > HIGHEST_RATE:
@@ -117,6 +104,19 @@ def excite(
         refuse_idle("static poses are found by one process", spread)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
     model, base, prior = described_robot(robot, fixed_base=fixed_base), None, None
+    from asbuilt.excitation.design.design import design_motion
+    from asbuilt.excitation.design.static_poses import design_static_poses
+    from asbuilt.identification.information.known_information import known_information
+    from asbuilt.writers.motion_files import write_motion
+    from asbuilt.writers.programs.format import program_format
+    from asbuilt.writers.reports.motion_report import write_motion_report
+    from asbuilt.writers.tables.design_tables import (
+        excite_document,
+        excite_text,
+        static_document,
+        static_text,
+    )
+
     if given is not None:
         known = read_result(given)
         if known.model.joint_names != model.joint_names:
@@ -242,11 +242,11 @@ def program(
     as_json: AsJson = False,
 ) -> None:
     """Write a program that makes a real controller run a motion and record it."""
+    model, title = described_robot(robot), name or motion.stem
     from asbuilt.writers.programs.format import program_format
     from asbuilt.writers.programs.program import program_request
     from asbuilt.writers.programs.program_files import program_document, program_text, write_program
 
-    model, title = described_robot(robot), name or motion.stem
     request = program_request(model, motion, form, name=title, rate=rate, collision=collision)
     files = write_program(out, program_format(form).files(request))
     answer(

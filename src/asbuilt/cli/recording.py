@@ -1,26 +1,21 @@
-"""Commands about recordings: check, gains, channels, simulate."""
+"""Commands about recordings: check, simulate."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
-    Carrier,
-    Drive,
-    Filtering,
     FixedBase,
     Full,
     Logs,
     Robot,
     RobotOrResult,
     Seed,
-    Unchecked,
     described_robot,
     distinct_logs,
     number_list,
@@ -60,14 +55,14 @@ def check(
     Checked are clock, missing values, units, signs, order of joints, limits, saturation, filters
     and excitation.
     """
-    from asbuilt.experiment.quality.checks import check_recording
-    from asbuilt.workflow.information_efficiency import recorded_information
-    from asbuilt.writers.tables.tabular import check_document
-
     distinct_logs(log)
     model, (recordings,) = robot_and_recordings(
         described_robot(robot, fixed_base=reading.fixed_base), reading, log
     )
+    from asbuilt.experiment.quality.checks import check_recording
+    from asbuilt.workflow.information_efficiency import recorded_information
+    from asbuilt.writers.tables.tabular import check_document
+
     checks = [check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None
@@ -84,133 +79,6 @@ def check(
     )
     if not all(found.ok for found in checks):
         raise typer.Exit(1)
-
-
-def gains(
-    robot: Robot,
-    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
-    loaded: Annotated[
-        list[Path],
-        typer.Option(
-            "--loaded", metavar="LOG", help="a recording with the payload; repeat for more"
-        ),
-    ],
-    mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
-    *,
-    com: Annotated[
-        str | None,
-        typer.Option(
-            "--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], if known"
-        ),
-    ] = None,
-    frame: Carrier = None,
-    drive: Drive = None,
-    unchecked: Unchecked = False,
-    reading: ReadingOptions,
-    filtering: Filtering,
-    full: Full = False,
-    as_json: AsJson = False,
-) -> None:
-    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass.
-
-    The command prints the --gain that uses it. Gains of a sheet or of --gain scale the torques as
-    usual; the gains printed replace them.
-    """
-    from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.workflow.calibration.torques import find_gains
-    from asbuilt.workflow.options import GainOptions
-    from asbuilt.writers.tables.drive_tables import gains_document, gains_text
-
-    distinct_logs(log, loaded)
-    model = described_robot(robot, fixed_base=reading.fixed_base)
-    currents = replace(reading, torque_source=reading.torque_source or "current")
-    options = GainOptions(
-        com=number_list("--com", com, 3) or None,
-        frame=frame,
-        drive=None if drive is None else DriveSet.parse(drive),
-        chain=filtering.chain(),
-        checked=not unchecked,
-    )
-    model, (bare, under) = robot_and_recordings(model, currents, log, loaded)
-    with progress_bar() as report:
-        found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
-    answer(as_json, lambda: gains_document(found), lambda: gains_text(found, full))
-
-
-def channels(
-    robot: Robot,
-    log: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")
-    ],
-    motor: Annotated[
-        list[Path],
-        typer.Option(
-            "--motor", metavar="LOG", help="the same with motor torques, in the same order"
-        ),
-    ],
-    *,
-    motor_gain: Annotated[
-        str | None,
-        typer.Option(
-            "--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors"
-        ),
-    ] = None,
-    motor_sheet: Annotated[
-        Path | None,
-        typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs"),
-    ] = None,
-    drive: Annotated[
-        str | None,
-        typer.Option(
-            "--drive",
-            metavar="LIST",
-            help="drive terms behind the sensors (default: viscous,coulomb,offset)",
-        ),
-    ] = None,
-    motor_drive: Annotated[
-        str | None,
-        typer.Option(
-            "--motor-drive",
-            metavar="LIST",
-            help=(
-                "drive terms before the sensors (default: armature,viscous,coulomb,offset, and"
-                " those of coupled motors)"
-            ),
-        ),
-    ] = None,
-    unchecked: Unchecked = False,
-    reading: ReadingOptions,
-    filtering: Filtering,
-    full: Full = False,
-    as_json: AsJson = False,
-) -> None:
-    """Identify links, link-side friction and motor side from torques on both sides of the gears."""
-    from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.tables import wrapped
-    from asbuilt.workflow.calibration.torques import identify_channels
-    from asbuilt.workflow.options import ChannelOptions
-    from asbuilt.writers.tables.drive_tables import channels_document, channels_text
-
-    model = described_robot(robot, fixed_base=reading.fixed_base)
-    on_links = replace(reading, torque_source=reading.torque_source or "sensor")
-    on_motors = replace(
-        reading,
-        gain=number_list("--motor-gain", motor_gain) or None,
-        torque_source="motor",
-        sheet=motor_sheet or reading.sheet,
-    )
-    model, (sensors,) = robot_and_recordings(model, on_links, log)
-    model, (motors,) = robot_and_recordings(model, on_motors, motor)
-    options = ChannelOptions(
-        link_side=None if drive is None else DriveSet.parse(drive),
-        motor_side=None if motor_drive is None else DriveSet.parse(motor_drive),
-        chain=filtering.chain(),
-        checked=not unchecked,
-    )
-    with progress_bar() as report:
-        found = identify_channels(model, sensors, motors, options=options, progress=report)
-    said = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
-    answer(as_json, lambda: channels_document(found), lambda: channels_text(found, full) + said)
 
 
 def simulate(

@@ -48,18 +48,18 @@ def review(
     Armature, damping, friction loss, gains, masses, centres and inertias:
     supported, contradicted or undetermined, and what each is an alias of.
     """
-    from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-    from asbuilt.validation.review.review import PLAUSIBLE
-    from asbuilt.workflow.review import review as review_robot
-    from asbuilt.writers.reports.reviews.review_text import review_document, review_text
-
     distinct_logs(log)
-    tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
     model, swept = described_robot(robot, fixed_base=reading.fixed_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     with progress_bar() as report:
         report("read", 0.0)
         model, (recordings,) = robot_and_recordings(model, reading, log)
+        from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+        from asbuilt.validation.review.review import PLAUSIBLE
+        from asbuilt.workflow.review import review as review_robot
+        from asbuilt.writers.reports.reviews.review_text import review_document, review_text
+
+        tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
         found = review_robot(
             model,
             recordings,

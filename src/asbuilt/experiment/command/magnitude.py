@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError
@@ -271,6 +270,8 @@ def _lag(kind: Kind, m: Array, e: Array, w: Array) -> float:
 
 
 def _lowest(cost: Callable[[float], float]) -> float:
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - light start
+
     tried = np.linspace(RULES.shortest, RULES.longest, RULES.tried)
     best = float(tried[int(np.argmin([cost(float(each)) for each in tried]))])
     step = float(tried[1] - tried[0])

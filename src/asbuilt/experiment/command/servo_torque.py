@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PositionServo
@@ -56,11 +55,18 @@ def _acting(recording: Recording, delay: float, derivative: int) -> Array:
     x = DROOP * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * DROOP) * x
     at = t - 0.5 * float(np.median(np.diff(t))) - delay
     inside = np.clip(at, t[0], t[-1])
-    values = np.asarray(CubicSpline(t, x, axis=0)(inside, derivative))
+    values = _interpolated(t, x, inside, derivative)
     if derivative:
         values[(at < t[0]) | (at > t[-1])] = 0.0
     out[rows] = values
     return out
+
+
+def _interpolated(t: Array, x: Array, at: Array, derivative: int) -> Array:
+    """Return the cubic spline through x (N, n) at other times, or its derivative."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
+
+    return np.asarray(CubicSpline(t, x, axis=0)(at, derivative))
 
 
 def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) -> Array:
@@ -83,7 +89,7 @@ def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) 
     padded = np.concatenate([values[:1], values, values[-1:]])
     values = (1.0 + 2.0 * DROOP) * values - DROOP * (padded[:-2] + padded[2:])
     if derivative:
-        values = np.asarray(CubicSpline(t, values, axis=0)(t, derivative))
+        values = _interpolated(t, values, t, derivative)
         values[(late < t[0]) | (late > t[-1])] = 0.0
     return np.asarray(values)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -20,10 +20,11 @@ from asbuilt.experiment.logs.formats.log_format import log_format
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.streaming import stream_recording
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain, stream_samples
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+    from asbuilt.experiment.signal.signal_chain import SignalChain
 
 LONG = 200e6
 """Size [bytes] from which a recording is read in chunks."""
@@ -113,6 +114,11 @@ class RecordingStream:
 
     def prepared(self, chain: SignalChain) -> Samples:
         """Return its samples after filtering and thinning, about 100 MB per hour and 7 joints."""
+        from asbuilt.experiment.signal.preparation import (  # noqa: PLC0415 - light start
+            stream_samples,
+        )
+        from asbuilt.experiment.signal.samples import Samples  # noqa: PLC0415 - light start
+
         columns: dict[str, Array] = {}
         bounds, first = [0], None
         for samples in stream_samples(self, chain):
@@ -163,6 +169,11 @@ def first_of(recording: Recording | RecordingStream, n_samples: int) -> Recordin
 
 def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -> Samples:
     """Return the samples of a recording or stream; what the chain leaves open is chosen for it."""
+    from asbuilt.experiment.signal.preparation import (  # noqa: PLC0415 - light start
+        prepare_samples,
+        resolve_chain,
+    )
+
     if isinstance(recording, RecordingStream):
         return recording.prepared(resolve_chain(chain, recording.head))
     return prepare_samples(recording, chain)

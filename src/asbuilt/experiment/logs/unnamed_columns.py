@@ -9,7 +9,6 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.experiment.logs.roles import unit_scale
 
 CLEAR_LOAD = 0.5
@@ -188,6 +187,8 @@ def _load_matches(model: RobotModel, groups: list[Array], scale: float) -> Array
     Positions times `scale` are radians. The median magnitude of the correlation over the joints
     that carry much of the load.
     """
+    from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
+
     matches = np.zeros((len(groups), len(groups)))
     step = max(1, groups[0].shape[0] // MOST_SAMPLES)
     for i, q in enumerate(groups):

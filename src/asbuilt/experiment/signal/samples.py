@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import TorqueSource
-from asbuilt.experiment.signal.parallel_filter import ParallelFilter
 from asbuilt.findings import joined
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.parallel_filter import ParallelFilter
 
 Segments = tuple[tuple[int, int], ...]
 

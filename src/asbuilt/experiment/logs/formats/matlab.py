@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
@@ -35,6 +33,9 @@ def read_mat(path: Path) -> LogTable:
         start = file.read(128)
     if start.startswith(b"MATLAB 7.3") or start[1:4] == b"HDF":
         return read_hdf5(path)
+    from scipy.io import loadmat  # noqa: PLC0415 - light start
+    from scipy.io.matlab import MatReadError  # noqa: PLC0415 - light start
+
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except (MatReadError, ValueError, OSError, TypeError, NotImplementedError) as error:

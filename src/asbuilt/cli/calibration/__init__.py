@@ -1,0 +1,1 @@
+"""Commands that need a payload or a second channel of torques."""

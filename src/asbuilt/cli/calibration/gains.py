@@ -1,0 +1,76 @@
+"""The command that finds torques per ampere: gains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, progress_bar
+from asbuilt.cli.arguments.options import (
+    AsJson,
+    Carrier,
+    Drive,
+    Filtering,
+    Full,
+    Robot,
+    Unchecked,
+    described_robot,
+    distinct_logs,
+    number_list,
+    robot_and_recordings,
+)
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.workflow.options import GainOptions
+
+
+def gains(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
+    loaded: Annotated[
+        list[Path],
+        typer.Option(
+            "--loaded", metavar="LOG", help="a recording with the payload; repeat for more"
+        ),
+    ],
+    mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
+    *,
+    com: Annotated[
+        str | None,
+        typer.Option(
+            "--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], if known"
+        ),
+    ] = None,
+    frame: Carrier = None,
+    drive: Drive = None,
+    unchecked: Unchecked = False,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass.
+
+    The command prints the --gain that uses it. Gains of a sheet or of --gain scale the torques as
+    usual; the gains printed replace them.
+    """
+    distinct_logs(log, loaded)
+    model = described_robot(robot, fixed_base=reading.fixed_base)
+    currents = replace(reading, torque_source=reading.torque_source or "current")
+    model, (bare, under) = robot_and_recordings(model, currents, log, loaded)
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.workflow.calibration.torques import find_gains
+    from asbuilt.writers.tables.drive_tables import gains_document, gains_text
+
+    options = GainOptions(
+        com=number_list("--com", com, 3) or None,
+        frame=frame,
+        drive=None if drive is None else DriveSet.parse(drive),
+        chain=filtering.chain(),
+        checked=not unchecked,
+    )
+    with progress_bar() as report:
+        found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
+    answer(as_json, lambda: gains_document(found), lambda: gains_text(found, full))

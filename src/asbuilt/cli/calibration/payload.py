@@ -1,0 +1,92 @@
+"""The command that identifies what the flange carries: payload."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, listed_files, progress_bar
+from asbuilt.cli.arguments.options import (
+    AsJson,
+    Filtering,
+    Full,
+    Judges,
+    Logs,
+    Out,
+    Result,
+    distinct_logs,
+    read_result,
+    recordings_of,
+)
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.workflow.options import PayloadOptions
+
+
+def payload(
+    result: Result,
+    log: Logs,
+    *,
+    options: PayloadOptions,
+    unloaded: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more"
+        ),
+    ] = None,
+    validate: Judges = None,
+    gain_uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            "--gain-uncertainty",
+            metavar="7%|P1,P2,...",
+            help=(
+                "relative error of the torque per ampere, for all joints or each (default: 7% for"
+                " currents, 5% for motor torques, 0 for sensors; more where gravity torques are"
+                " far from CAD's)"
+            ),
+        ),
+    ] = None,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
+    distinct_logs(log, unloaded, validate)
+    identified = read_result(result)
+    loaded, bare, others = (
+        recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
+    )
+    from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
+    from asbuilt.workflow.calibration.payload_study import identify_payload
+    from asbuilt.writers.tables.payload_tables import payload_document, payload_text
+    from asbuilt.writers.tables.tabular import write_json
+
+    options = replace(
+        options,
+        chain=filtering.chain(),
+        gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
+    )
+    with progress_bar() as report:
+        found = identify_payload(
+            identified,
+            loaded,
+            unloaded=bare,
+            validation=others,
+            options=options,
+            progress=report,
+        )
+    files = (
+        {"payload": write_json(out / "payload.json", payload_document(found))}
+        if out is not None
+        else {}
+    )
+    answer(
+        as_json,
+        lambda: payload_document(found, files),
+        lambda: payload_text(found, full) + listed_files(files),
+    )
