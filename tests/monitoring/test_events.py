@@ -1,5 +1,6 @@
 """Contacts, faults and payloads that were put into recordings."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,12 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.monitoring.contact import frame_jacobian
 from asbuilt.monitoring.events import joined_events
+from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observer import Observer
+from asbuilt.monitoring.sensitivity import smallest_forces, step_response
 from asbuilt.workflow.watching.options import WatchOptions
 from asbuilt.workflow.watching.watch import watch
 from asbuilt.workflow.watching.watched_log import WatchedLog
@@ -139,6 +144,89 @@ def test_a_log_faster_than_the_thresholds_is_named(watched: WatchedRobot) -> Non
     assert "faster_than_thresholds" in codes
 
 
+def test_rows_left_out_and_another_rate_are_named(watched: WatchedRobot) -> None:
+    log = watched.record(27, 10.0)
+    q = log.q.copy()
+    q[[300, 301, 900], 2] = np.nan
+    seen = found(watched, replace(log, q=q))
+    (finding,) = seen.findings
+    assert finding.code == "rows_left_out"
+    assert finding.message.startswith("3 rows")
+    (finding,) = found(watched, log.taken(slice(None, None, 2))).findings
+    assert finding.code == "rate_of_thresholds"
+    assert "100 samples per second" in finding.message
+
+
+def test_a_log_of_a_robot_on_a_wall_is_named(watched: WatchedRobot) -> None:
+    """Its own thresholds would hide it: they follow from the errors of the wrong model."""
+    robot = VirtualRobot.ideal(replace(watched.model, gravity=np.array([9.81, 0.0, 0.0])))
+    other = joined_recordings((recorded(robot, 21, 15.0), recorded(robot, 22, 15.0)))
+    for thresholds in (None, watched.thresholds):
+        seen = watch(watched.result, other, thresholds=thresholds, options=UNCHECKED)
+        assert "model_disagrees" in {each.code for each in seen.findings}
+
+
+def test_a_payload_in_the_whole_log_is_no_contact(watched: WatchedRobot) -> None:
+    body = LinkInertia.from_com(3.0, [0.0, 0.02, 0.08], 0.01 * np.eye(3))
+    seen = found(watched, recorded(watched.robot.with_tool(body), 25, 15.0))
+    (finding,) = [each for each in seen.findings if each.code == "payload_in_log"]
+    mass, error = map(float, re.findall(r"([0-9.]+) \+/- ([0-9.]+) kg", finding.message)[0])
+    assert abs(mass - 3.0) < 4.0 * error < 0.6
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_robot_at_rest_is_watched(watched: WatchedRobot, noise: float) -> None:
+    """Nothing moves, and a sensor may repeat itself; a push of 20 N m is seen, nothing else."""
+    n, rows = watched.model.n_joints, 12000
+    rng, q = np.random.default_rng(3), np.linspace(0.2, 1.0, n)
+    log = Recording(
+        t=np.arange(rows) / RATE,
+        q=np.tile(q, (rows, 1)),
+        qd=np.zeros((rows, n)),
+        tau=watched.result.gravity(q) + 0.3 + noise * rng.normal(size=(rows, n)),
+        joint_names=watched.model.joint_names,
+        torque_source="motor",
+    )
+    tau = log.tau.copy()
+    tau[6000:6100, 2] -= 20.0
+    seen = watch(watched.result, replace(log, tau=tau), calibrate=[log], options=UNCHECKED)
+    (event,) = seen.events
+    assert abs(event.start - 30.0) < 0.05
+    assert np.all(event.threshold > 0.0)
+    assert np.isfinite(seen.smallest_force)
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_smallest_force_is_seen_within_20_ms_and_smaller_ones_are_not(
+    watched: WatchedRobot, filtered: bool
+) -> None:
+    """Torques with the force of a pose, which the observer takes as a ramp over one sample."""
+    log, tool = watched.quiet[0], (6, np.eye(4))
+    observer = Observer(watched.result)
+
+    def observed(tau: np.ndarray) -> Observed:
+        return observer.observe(log.t, log.q, tau, None if filtered else log.qd)
+
+    seen = observed(log.tau)
+    limit = watched.thresholds.of_log(seen, observer.model_error)[1]
+    forces = smallest_forces(observer, seen, limit, tool, filtered=filtered)
+    rng = np.random.default_rng(0)
+    places = np.unique(np.linspace(0.1, 0.9, len(forces)) * (len(seen.t) - 1)).astype(int)
+    late = round(0.02 * RATE)
+    pole = observer.pole(np.diff(seen.t)) if filtered else None
+    mean = 0.02 - 0.5 / RATE
+    expected = step_response(observer, mean, pole) / step_response(observer, 0.02, pole)
+    for k, force in list(zip(places, forces, strict=True))[:8]:
+        along = rng.normal(size=3)
+        torque = frame_jacobian(watched.model, seen.q[k], *tool)[3:].T @ along
+        torque *= force / np.linalg.norm(along)
+        tau = log.tau.copy()
+        tau[k - late + 1 :] -= torque
+        change = (observed(tau).residual[k] - seen.residual[k]) / expected
+        ratio = np.abs(seen.residual[k] + change) / limit[k]
+        assert abs(ratio.max() - 1.0) < 0.05
+
+
 def test_what_cannot_be_watched_is_refused(watched: WatchedRobot) -> None:
     log, result = watched.record(28, 5.0), watched.result
     bare = replace(result, covariance=np.zeros_like(result.covariance))
@@ -151,6 +239,17 @@ def test_what_cannot_be_watched_is_refused(watched: WatchedRobot) -> None:
         watch(result, log.taken(slice(0, 5)), options=UNCHECKED, thresholds=watched.thresholds)
     with pytest.raises(UsageError, match="false alarms must be positive"):
         watch(result, log, options=WatchOptions(false_alarms_per_hour=0.0))
+    with pytest.raises(UsageError, match="at most"):
+        watch(result, log, options=WatchOptions(false_alarms_per_hour=1e6, checked=False))
+    for changes in (
+        {"false_alarms_per_hour": np.nan},
+        {"hours": 0.0},
+        {"slow_speed": np.zeros(7)},
+        {"level": np.full(7, np.inf)},
+        {"floor": np.ones(6)},
+    ):
+        with pytest.raises(UsageError, match="of thresholds must be"):
+            replace(watched.thresholds, **changes)
     clock = log.t.copy()
     clock[200:] -= 0.5
     with pytest.raises(RecordingError, match="time"):

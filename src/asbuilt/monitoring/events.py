@@ -30,6 +30,8 @@ DETERMINED = 200.0
 """Largest condition number (columns scaled) of the four parameters of a payload."""
 CLEAR = 3.0
 MOST_ROWS = 400
+CLUSTER = 1.0
+"""Time [s] in which errors of the model count as one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +161,7 @@ def _event(
     )
     if event.duration < PERSISTENT:
         return event
-    mass = _payload(observer, observed, scale, part, tool[0])
+    mass = payload_change(observer, observed.part(part), scale[part], tool[0])
     if mass is not None:
         return replace(event, kind="payload", mass=mass[0], mass_error=mass[1])
     lasting = np.mean(ratio > 1.0, axis=0) > MOSTLY
@@ -187,15 +189,20 @@ def _above(parents: Sequence[int], joint: int, other: int) -> bool:
     return False
 
 
-def _payload(
-    observer: Observer, observed: Observed, scale: Array, part: slice, link: int
+def payload_change(
+    observer: Observer, observed: Observed, scale: Array, link: int
 ) -> tuple[float, float] | None:
-    """Return the change of mass at a link that explains the residual, and its error, or None."""
-    t = observed.t[part]
+    """Return the change of mass [kg] at a link that explains the residual, and its error, or None.
+
+    `scale` (N, n) are standard deviations of the residual. Errors of the model last as long as a
+    pose does, so the standard error is that of clusters of `CLUSTER` seconds (Liang and Zeger,
+    1986).
+    """
+    t = observed.t
     spacing = max(
         5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t))), len(t) / MOST_ROWS
     )
-    rows = part.start + np.arange(0, len(t), max(1, round(spacing)))
+    rows = np.arange(0, len(t), max(1, round(spacing)))
     weight = 1.0 / np.maximum(scale[rows], 1e-9).ravel()
     columns = 10 * link + np.arange(6, 10)
     state = (observed.q[rows], observed.qd[rows], observed.qdd[rows])
@@ -206,7 +213,17 @@ def _payload(
         return None
     found = np.linalg.lstsq(A, b, rcond=None)[0]
     left = float(np.sum((b - A @ found) ** 2))
-    error = np.sqrt(np.linalg.inv(A.T @ A)[3, 3] * left / (len(b) - 4))
+    times = np.repeat(t[rows], observed.q.shape[1])
+    error = _clustered_error(A, b - A @ found, np.floor((times - t[0]) / CLUSTER))
     if left > (1.0 - EXPLAINED) * float(b @ b) or abs(found[3]) < CLEAR * error:
         return None
     return float(found[3]), float(error)
+
+
+def _clustered_error(A: Array, left: Array, cluster: Array) -> float:
+    """Return the standard error of the last of p parameters, from sums over clusters of rows."""
+    names, place = np.unique(cluster, return_inverse=True)
+    scores = np.zeros((len(names), A.shape[1]))
+    np.add.at(scores, place, A * left[:, None])
+    spread = np.linalg.solve(A.T @ A, scores.T)[-1]
+    return float(np.sqrt(np.sum(spread**2) * len(names) / max(len(names) - A.shape[1], 1)))

@@ -27,6 +27,9 @@ FEWEST_PEAKS = 10
 SHAPE_ERROR = 0.1
 """Standard deviation of the prior of the shape about 0, the exponential tail: torque errors are
 sums of many bounded causes."""
+LEAST_SPREAD = 0.05
+"""Least mean excess, per start of the tail: blocks that are alike, as of a joint at rest whose
+sensor repeats itself, do not show how the next ones differ."""
 SHAPES = np.linspace(-0.4, 0.4, 41)
 SCALES = np.geomspace(0.25, 4.0, 61)
 """Scales of the posterior, in mean excesses."""
@@ -104,9 +107,7 @@ def _tail(x: Array, peaks: int, probability: float) -> Tail:
     blocks = len(x)
     start = float(0.5 * (x[-peaks - 1] + x[-peaks]))
     excess = np.maximum(x[-peaks:] - start, 0.0)
-    mean = float(excess.mean())
-    if not mean > 0.0:
-        return Tail(float(x[-1]), start, peaks, blocks, 0.0, 0.0)
+    mean = max(float(excess.mean()), LEAST_SPREAD * start, np.finfo(float).tiny)
     shape, scale, weight = _posterior(excess / mean)
     above = peaks / blocks
     low, high = 0.0, 1.0

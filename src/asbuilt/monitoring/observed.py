@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,7 @@ class Observed:
 
     `t` (N,), `share` (N,) the weight of each new sample, -1 where the observer starts anew; `q`,
     `qd`, the lagged acceleration `qdd`, the lagged size `step` of the steps of torque between
-    samples, and the `residual` (N, n) [N m or N].
+    samples, and the `residual` (N, n) [N m or N]. `left_out` rows of the log were not valid.
     """
 
     t: Array
@@ -25,6 +25,15 @@ class Observed:
     qdd: Array
     step: Array
     residual: Array
+    left_out: int = field(default=0, kw_only=True)
+
+    def part(self, rows: slice) -> Observed:
+        """Return adjacent samples."""
+        return Observed(
+            self.t[rows],
+            self.share[rows],
+            *(x[rows] for x in (self.q, self.qd, self.qdd, self.step, self.residual)),
+        )
 
     def select(self, keep: Mask) -> Observed:
         """Return the samples where `keep` (N,) is true; lags start anew after a gap."""

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.momentum import lagged
-from asbuilt.errors import UsageError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.monitoring.extremes import Tail, block_maxima, gumbel_level, tail_level
 from asbuilt.monitoring.model_error import ModelError
@@ -20,6 +20,10 @@ BLOCK = 1.0
 """Shortest block [s]; longer than the observer remembers and than most contacts last."""
 SLOW = (0.01, 0.03, 0.1, 0.3)
 """Speeds, as shares of the top speed, below which friction may be in error; one is chosen."""
+POSITIVE = ("level", "floor", "slow_speed")
+NOT_NEGATIVE = ("slow_part", "fast", "step_part", "top_speed")
+MOST = 0.5
+"""Largest probability of an alarm in a block; beyond it a level lies within the noise."""
 LEAST = 1e-3
 """Smallest floor of the scale, per RMS residual."""
 
@@ -44,8 +48,9 @@ class Thresholds:
         Bandwidth of the observer [Hz].
     false_alarms_per_hour
         Rate for the whole robot; a joint has its n-th part.
-    block_seconds, hours
-        Length of the blocks, and of the recordings that the levels were set on.
+    block_seconds, hours, rate
+        Length of the blocks, and of the recordings that the levels were set on, and their sampling
+        rate [Hz].
     level, floor, slow_part, fast, step_part, slow_speed, top_speed
         Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`, a
         share for `step_part`], and speeds [rad/s or m/s], the last the highest met.
@@ -55,6 +60,11 @@ class Thresholds:
         Whether the levels were set on recordings other than the one watched.
     filtered
         Whether velocities came from the causal filter and not from the log.
+
+    Raises
+    ------
+    UsageError
+        If a number is not finite or not positive, or an array has not n values.
     """
 
     joint_names: tuple[str, ...]
@@ -62,6 +72,7 @@ class Thresholds:
     false_alarms_per_hour: float
     block_seconds: float
     hours: float
+    rate: float
     level: Array
     floor: Array
     slow_part: Array
@@ -72,6 +83,21 @@ class Thresholds:
     tails: tuple[Tail, ...] = ()
     held_out: bool = True
     filtered: bool = False
+
+    def __post_init__(self) -> None:
+        n = len(self.joint_names)
+        for name in ("bandwidth", "false_alarms_per_hour", "block_seconds", "hours", "rate"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise UsageError(f"{name} of thresholds must be a positive number, got {value}")
+        for name in (*POSITIVE, *NOT_NEGATIVE):
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            least = np.finfo(float).tiny if name in POSITIVE else 0.0
+            if values.shape != (n,) or not np.all(np.isfinite(values) & (values >= least)):
+                sign = "positive" if name in POSITIVE else "at least 0"
+                raise UsageError(
+                    f"{name} of thresholds must be {n} numbers, {sign}, got {values.tolist()}"
+                )
 
     def check_joints(self, names: Sequence[str]) -> None:
         """Raise `UsageError` unless the thresholds belong to these joints."""
@@ -104,6 +130,12 @@ class Thresholds:
         model = error.std(observed.q, observed.qd, observed.qdd)
         scale = self.scale(observed.qd, slowness, observed.step, model)
         return scale, self.level * scale
+
+
+def sampling_rates(t: Array) -> Array:
+    """Return the reciprocals of the positive steps of time [Hz]."""
+    steps = np.diff(t)
+    return np.asarray(1.0 / steps[steps > 0.0])
 
 
 def least_speed(before: Array, qd: Array) -> Array:
@@ -156,7 +188,7 @@ def set_thresholds(
     Raises
     ------
     UsageError
-        If the rate is not positive.
+        If the rate is not positive, or so high that thresholds lie within the noise.
     RecordingError
         If the logs are too short.
     """
@@ -165,11 +197,20 @@ def set_thresholds(
             f"the rate of false alarms must be positive, got {false_alarms_per_hour} per hour"
         )
     names, n = tuple(joint_names), len(joint_names)
+    _check_measured(logs, names)
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
     kept = [np.ones(len(log.t), dtype=bool) for log in logs]
     seconds = max(BLOCK, 5.0 / (2.0 * np.pi * bandwidth))
     hours = sum(float(log.t[-1] - log.t[0]) for log in logs) / 3600.0
     probability = float(-np.expm1(-false_alarms_per_hour / n * seconds / 3600.0))
+    if probability > MOST:
+        highest = float(-np.log1p(-MOST) * n * 3600.0 / seconds)
+        raise UsageError(
+            f"{false_alarms_per_hour:g} false alarms per hour are more than thresholds can be set"
+            f" for; at most {highest:.0f} per hour are possible for {n} joints",
+            value=false_alarms_per_hour,
+            expected=highest,
+        )
     for last in (held_out, True):
         parts = [_parts(j, logs, models, kept) for j in range(n)]
         made = Thresholds(
@@ -178,6 +219,7 @@ def set_thresholds(
             false_alarms_per_hour=false_alarms_per_hour,
             block_seconds=seconds,
             hours=hours,
+            rate=float(np.median(np.concatenate([sampling_rates(log.t) for log in logs]))),
             level=np.ones(n),
             floor=np.array([part[0] for part in parts]),
             slow_part=np.array([part[1] for part in parts]),
@@ -200,6 +242,16 @@ def set_thresholds(
     if not held_out:
         level, tails = np.array([gumbel_level(column, probability) for column in maxima.T]), ()
     return replace(made, level=level, tails=tails)
+
+
+def _check_measured(logs: Sequence[Observed], names: Sequence[str]) -> None:
+    for name, *columns in zip(names, *(log.residual.T for log in logs), strict=True):
+        if not any(column.any() for column in columns):
+            raise RecordingError(
+                f"the external torque of {name} is exactly 0 in every sample, so its errors are"
+                " unknown",
+                cure=Cure("give recordings of the real robot, as logged"),
+            )
 
 
 def _non_negative(columns: Array, target: Array) -> Array:
@@ -227,18 +279,19 @@ def _parts(
     They are the most likely for normal residuals of these scales, by weighted least squares of the
     squares.
     """
-    squares, speed, model, step = (
+    residual, speed, model, step = (
         np.concatenate([each[keep] for each, keep in zip(arrays, kept, strict=True)])
         for arrays in (
-            [log.residual[:, j] ** 2 for log in logs],
+            [log.residual[:, j] for log in logs],
             [log.qd[:, j] for log in logs],
             [each[:, j] ** 2 for each in models],
             [log.step[:, j] for log in logs],
         )
     )
+    size = float(np.sqrt(np.mean(residual**2)))
+    squares, model, step = (residual / size) ** 2, model / size**2, step / size
     top = float(np.abs(speed).max()) or 1.0
     least = [least_speed(velocities_before(log), log.qd) for log in logs]
-    floor = LEAST**2 * float(squares.mean()) + np.finfo(float).tiny
     best: tuple[float, tuple[float, float, float, float, float]] | None = None
     for part in SLOW:
         slow_speed = part * top
@@ -249,14 +302,14 @@ def _parts(
             ]
         )
         columns = np.column_stack([np.ones(len(squares)), slowness, (speed / top) ** 2, step**2])
-        variance = np.full(len(squares), max(float(squares.mean()), floor))
+        variance = np.ones(len(squares))
         for _ in range(6):
             found = _non_negative(columns / variance[:, None], (squares - model) / variance)
-            found[0] = max(found[0], floor)
+            found[0] = max(found[0], LEAST**2)
             variance = columns @ found + model
         cost = float(np.sum(np.log(variance) + squares / variance))
         if best is None or cost < best[0]:
             a, b, c, d = np.sqrt(found).tolist()
-            best = cost, (a, b, c / top, d, slow_speed)
+            best = cost, (size * a, size * b, size * c / top, d, slow_speed)
     assert best is not None
     return best[1]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from asbuilt.arrays import Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
@@ -67,10 +69,15 @@ def check_log(result: IdentificationResult, recorded: Recording | RecordingStrea
 
 
 def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
-    """Whether velocities are logged and agree with the derivative of positions."""
+    """Whether velocities are logged and agree with the derivative of positions.
+
+    They do where the robot is at rest and rows repeat, so that no lag can show.
+    """
     head = head_of(recorded)
     if head.qd is None:
         return False
+    if not np.nanmax(np.ptp(head.q, axis=0)) > 0.0:
+        return True
     cutoff = resolve_chain(SignalChain(), head).cutoff or 0.0
     segments, rate, _ = uniform_segments(head)
     pairs = []
@@ -93,13 +100,16 @@ def observed_parts(
     if isinstance(recorded, Recording):
         yield _observed(observer, recorded, velocities=velocities)
         return
+    seen = 0
     end, tail = -np.inf, None
     for chunk in recorded:
         whole = chunk if tail is None else _joined(tail, chunk)
         found = _observed(observer, whole, velocities=velocities)
-        yield found.select(found.t > end) if tail is not None else found
+        new = found if tail is None else found.select(found.t > end)
+        yield replace(new, left_out=max(found.left_out - seen, 0))
         end = float(np.nanmax(chunk.t))
         tail = whole.taken(whole.t > end - OVERLAP)
+        seen = int(np.sum(~_valid(tail, velocities=velocities)))
 
 
 def held_out_part(observed: Observed, rule: str) -> Observed:
@@ -113,13 +123,7 @@ def held_out_part(observed: Observed, rule: str) -> Observed:
 
 def _observed(observer: Observer, recording: Recording, *, velocities: bool) -> Observed:
     """Observe a recording without rows that are not finite or whose time does not advance."""
-    columns = [recording.q, recording.tau]
-    if velocities and recording.qd is not None:
-        columns.append(recording.qd)
-    kept = np.isfinite(recording.t) & np.all(np.isfinite(np.hstack(columns)), axis=1)
-    t = np.where(kept, recording.t, -np.inf)
-    latest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
-    kept &= t > latest
+    kept = _valid(recording, velocities=velocities)
     if kept.sum() < FEWEST:
         raise RecordingError(
             f"{recording.source}: {int(kept.sum())} valid samples are too few to watch; at least"
@@ -128,8 +132,20 @@ def _observed(observer: Observer, recording: Recording, *, velocities: bool) -> 
             value=int(kept.sum()),
             expected=FEWEST,
         )
-    q, tau, *qd = (column[kept] for column in columns)
-    return observer.observe(recording.t[kept], q, tau, qd[0] if qd else None)
+    qd = recording.qd[kept] if velocities and recording.qd is not None else None
+    found = observer.observe(recording.t[kept], recording.q[kept], recording.tau[kept], qd)
+    return replace(found, left_out=int(np.sum(~kept)))
+
+
+def _valid(recording: Recording, *, velocities: bool) -> Mask:
+    """Return which rows (N,) are finite and later than all before them."""
+    columns = [recording.t[:, None], recording.q, recording.tau]
+    if velocities and recording.qd is not None:
+        columns.append(recording.qd)
+    kept = np.all(np.isfinite(np.hstack(columns)), axis=1)
+    t = np.where(kept, recording.t, -np.inf)
+    latest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    return np.asarray(kept & (t > latest))
 
 
 def _joined(first: Recording, second: Recording) -> Recording:

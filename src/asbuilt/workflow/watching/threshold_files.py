@@ -7,8 +7,6 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
 from asbuilt.codec import FieldError, json_text, plain, restored
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure
@@ -40,19 +38,10 @@ def read_thresholds(path: str | os.PathLike[str]) -> Thresholds:
         if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
             raise ResultError(f"{path} holds no thresholds", cure=again, file=str(path))
         found = restored(Thresholds, whole)
+    except ResultError:
+        raise
     except (ValueError, TypeError, KeyError, RecursionError, FieldError) as problem:
-        if isinstance(problem, ResultError):
-            raise
         raise ResultError(
             f"{path}: the thresholds are damaged: {problem}", cure=again, file=str(path)
         ) from None
-    n = len(found.joint_names)
-    for name in ("level", "floor", "slow_part", "fast", "step_part", "slow_speed", "top_speed"):
-        values = getattr(found, name)
-        if values.shape != (n,) or not np.all(np.isfinite(values) & (values >= 0.0)):
-            raise ResultError(
-                f"{path}: the thresholds are damaged: {name} must be {n} numbers of at least 0",
-                cure=again,
-                file=str(path),
-            )
     return found

@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError, ResultError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, Finding, joined, ranked
+from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.events import Event, find_events, joined_events
@@ -29,10 +28,15 @@ from asbuilt.workflow.watching.observation import (
     uses_logged_velocities,
 )
 from asbuilt.workflow.watching.options import WatchOptions
+from asbuilt.workflow.watching.tally import Tally
+from asbuilt.workflow.watching.watch_findings import (
+    calibration_findings,
+    expected_size,
+    log_findings,
+    model_findings,
+    velocity_findings,
+)
 from asbuilt.workflow.watching.watched_log import Trace, WatchedLog, traced
-
-FASTER = 1.2
-"""Factor by which a joint may exceed the speeds that thresholds were set on."""
 
 
 def watch(
@@ -100,7 +104,7 @@ def watch(
         else not thresholds.filtered
     )
     _check_velocities(log, needed=measured)
-    findings = _velocity_findings(log, measured=measured)
+    findings = velocity_findings(log, measured=measured)
     if thresholds is None:
         report("thresholds", 0.0)
         thresholds, said = _thresholds(result, observer, log, quiet, options, measured=measured)
@@ -130,20 +134,6 @@ def _check_velocities(log: Recording | RecordingStream, *, needed: bool) -> None
             cure=Cure("log velocities, or set the thresholds again", {"calibrate": "LOG"}),
             file=log.source,
         )
-
-
-def _velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
-    if measured:
-        return []
-    why = "lag behind the positions or are noisy" if head_of(log).qd is not None else "are missing"
-    return [
-        Finding(
-            "velocities_filtered",
-            "info",
-            f"logged velocities {why}; positions and torques go through one causal filter, which"
-            " delays alarms by half of the observer's lag",
-        )
-    ]
 
 
 def _thresholds(
@@ -193,21 +183,7 @@ def _thresholds(
         held_out=bool(quiet),
         filtered=not measured,
     )
-    if found.hours * 3600.0 < SHORT and quiet:
-        findings.append(
-            Finding(
-                "calibration_short",
-                "warning",
-                f"the thresholds follow from {3600.0 * found.hours:.0f} s without contact; the tail"
-                " of the residual is extrapolated and thresholds are higher than they need be",
-                Cure(f"give recordings of at least {SHORT:.0f} s"),
-            )
-        )
-    return found, findings
-
-
-SHORT = 120.0
-"""Duration [s] below which thresholds are mostly extrapolation."""
+    return found, [*findings, *calibration_findings(found)]
 
 
 def _watched(
@@ -223,49 +199,33 @@ def _watched(
     name, link, placement = payload_frame(observer.model, options.frame)
     events: list[Event] = []
     traces: list[Trace] = []
-    top, samples, seconds = np.zeros(observer.model.n_joints), 0, 0.0
+    tally = Tally(observer.model.joint_names, (link, placement), thresholds.filtered)
     report("observe", 0.0)
     for observed in observed_parts(observer, log, velocities=measured):
         scale, limit = thresholds.of_log(observed, observer.model_error)
         events += find_events(
-            observer, observed, scale, limit, (link, placement), apart=thresholds.block_seconds
+            observer, observed, scale, limit, tally.tool, apart=thresholds.block_seconds
         )
         traces.append(traced(observed, limit))
-        top = np.maximum(top, np.abs(observed.qd).max(axis=0))
-        samples += len(observed.t)
-        steps = np.diff(observed.t)
-        seconds += float(steps[observed.share[1:] > 0.0].sum())
-    if seconds <= 0.0:
+        tally.add(observer, observed, scale, limit)
+    if tally.seconds <= 0.0:
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
+    found = joined_events(events, thresholds.block_seconds)
+    said = [
+        *log_findings(thresholds, tally),
+        *model_findings(tally, expected_size(result, options.model), name, found),
+    ]
     return WatchedLog(
         robot=result.robot,
         source=log.source,
         model=options.model,
         frame=name,
         joint_names=observer.model.joint_names,
-        n_samples=samples,
-        seconds=seconds,
+        n_samples=tally.n_samples,
+        seconds=tally.seconds,
         thresholds=thresholds,
-        events=joined_events(events, thresholds.block_seconds),
-        findings=ranked([*findings, *_speed_findings(thresholds, top)]),
+        events=found,
+        findings=ranked([*findings, *said]),
         trace=Trace.joined(traces),
+        smallest_force=tally.smallest_force,
     )
-
-
-def _speed_findings(thresholds: Thresholds, top: Array) -> list[Finding]:
-    faster = np.flatnonzero(top > FASTER * thresholds.top_speed)
-    if not faster.size:
-        return []
-    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
-    names = joined([thresholds.joint_names[k] for k in faster])
-    return [
-        Finding(
-            "faster_than_thresholds",
-            "warning",
-            f"{names}: up to {top[worst]:.3g} rad/s or m/s in this log,"
-            f" {thresholds.top_speed[worst]:.3g} where the thresholds were set; false alarms may be"
-            " more frequent",
-            Cure("set the thresholds on motions as fast as those that are watched"),
-            joint=thresholds.joint_names[worst],
-        )
-    ]

@@ -62,6 +62,8 @@ class WatchedLog:
         The thresholds, and what was found.
     trace
         Residual and threshold for drawing.
+    smallest_force
+        Step of force at the frame [N] that is seen within 20 ms, median over poses of this log.
     """
 
     robot: str
@@ -75,6 +77,14 @@ class WatchedLog:
     events: tuple[Event, ...]
     findings: tuple[Finding, ...]
     trace: Trace
+    smallest_force: float
+
+    @property
+    def largest(self) -> tuple[str, float, float]:
+        """Joint, time [s] and size, per threshold, of the largest residual."""
+        ratio = np.abs(self.trace.residual) / self.trace.limit
+        k, j = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        return self.joint_names[j], float(self.trace.t[k, j]), float(ratio[k, j])
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists, for JSON."""
@@ -91,6 +101,8 @@ class WatchedLog:
             "false_alarms_per_hour": thresholds.false_alarms_per_hour,
             "expected_false_alarms": thresholds.false_alarms_per_hour * self.seconds / 3600.0,
             "rate_verified": thresholds.held_out,
+            "smallest_force": self.smallest_force,
+            "largest": dict(zip(("joint", "time", "ratio"), self.largest, strict=True)),
             "events": [event.as_document() for event in self.events],
             "thresholds": plain(thresholds),
             "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
@@ -102,6 +114,7 @@ class WatchedLog:
         rate = thresholds.false_alarms_per_hour
         expected = rate * self.seconds / 3600.0
         model = "as built" if self.model == "as_built" else "as described (CAD)"
+        joint, time, ratio = self.largest
         kinds = [event.kind for event in self.events]
         counts = ", ".join(
             f"{kinds.count(kind)} {name}"
@@ -119,7 +132,10 @@ class WatchedLog:
             f" ({significant(expected, 2)} expected in this log), from"
             f" {_span(3600.0 * thresholds.hours)}"
             + (" without contact." if thresholds.held_out else " of this log itself."),
-            f"Events: {counts or 'none'}.",
+            f"Events: {counts or 'none'}. The largest external torque is {significant(ratio, 2)}"
+            f" times its threshold ({joint}, {time:.2f} s).",
+            f"A step of force at {self.frame} of {significant(self.smallest_force, 2)} N is seen"
+            " within 20 ms (median over directions and poses of this log).",
         )
 
     def table(self) -> Table:
@@ -128,11 +144,11 @@ class WatchedLog:
             Column("start", "s", "decimal"),
             Column("lasts", "s", "decimal"),
             Column("what", width=8),
-            Column("at or beyond", width=14),
-            Column("joint", width=13),
+            Column("where", width=18),
+            Column("joint", detail=True),
             Column("torque", align="decimal"),
             Column("limit", align="decimal"),
-            Column("force", "N", width=16),
+            Column("force", "N", width=18),
             Column("x", "N", detail=True),
             Column("y", "N", detail=True),
             Column("z", "N", detail=True),
@@ -142,9 +158,9 @@ class WatchedLog:
             columns,
             tuple(self._row(event) for event in self.events),
             notes=(
-                f"Torque and limit [N m or N] of the joint farthest beyond its threshold; force"
-                f" on the robot if it acts at {self.frame}, +/- standard error. A contact acts"
-                " at the link named or beyond it.",
+                f"A contact acts at the link named or beyond it. Torque and limit [N m or N] of the"
+                " joint farthest beyond its threshold; force on the robot if it acts at"
+                f" {self.frame}, or change of mass there, +/- standard error.",
             ),
             details=(
                 "x, y, z: the force in root axes; p: probability of a worse fit if it acts at"
@@ -177,7 +193,7 @@ class WatchedLog:
             Shown(event.start, f"{event.start:.2f}"),
             Shown(event.duration, f"{event.duration:.2f}"),
             event.kind,
-            event.link,
+            event.joints[0] if event.kind == "fault" else event.link,
             self.joint_names[k],
             Shown(float(event.residual[k]), significant(float(event.residual[k]))),
             Shown(float(event.threshold[k]), significant(float(event.threshold[k]))),

@@ -20,14 +20,14 @@ from asbuilt.writers.figures.figure_style import (
 BAND = "#E9ECEF"
 COLOURS = {"contact": VERMILION, "fault": ORANGE, "payload": "#009E73"}
 NARROWEST = 0.004
-"""Width of an event, per length of the log."""
+"""Least width of an event, per length of the log."""
 MARGIN = 1.25
 
 
 def watch_figure(watched: WatchedLog, *, title: str = "") -> Figure:
     """Draw the residual of every joint in its thresholds, with the events marked."""
     trace, n = watched.trace, len(watched.joint_names)
-    last = float(trace.t.max())
+    start, last = float(trace.t.min()), float(trace.t.max())
     with styled():
         figure = blank_figure(8.6, 0.95 * n + 0.9)
         axes = np.atleast_1d(figure.subplots(n, 1, sharex=True))
@@ -57,7 +57,7 @@ def watch_figure(watched: WatchedLog, *, title: str = "") -> Figure:
                 label = event.kind if event.kind not in shown and took_part else None
                 shown |= {event.kind} if took_part else set()
                 if took_part:
-                    width = max(event.duration, NARROWEST * last)
+                    width = max(event.duration, NARROWEST * (last - start))
                     axis.axvspan(
                         event.start,
                         event.start + width,
@@ -72,7 +72,7 @@ def watch_figure(watched: WatchedLog, *, title: str = "") -> Figure:
             axis.set_ylim(-tallest, tallest)
             axis.set_ylabel(broken(watched.joint_names[j], 12))
         axes[-1].set_xlabel("time [s]")
-        axes[-1].set_xlim(float(trace.t.min()), last)
+        axes[-1].set_xlim(start, last)
         figure.legend(loc="outside lower right", ncols=5)
         headline(
             figure,

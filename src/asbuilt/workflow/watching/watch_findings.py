@@ -1,0 +1,155 @@
+"""What is said of a watched log beside its events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring.events import Event
+from asbuilt.monitoring.thresholds import Thresholds
+from asbuilt.tables import plus_minus
+from asbuilt.workflow.watching.options import Watched
+from asbuilt.workflow.watching.tally import Tally
+
+FASTER = 1.2
+"""Factor by which a joint may exceed the speeds that thresholds were set on."""
+OTHER_RATE = 1.25
+"""Factor from which sampling rates differ: noise, steps of torque and the causal filter do."""
+UNLIKE = 3.0
+"""Size of the residual over most of a log and all joints, per RMS error that the identification
+found, from which the model is not that of this robot. Between motions of one robot 1.06 to
+1.56 was seen (LWR4+, Med 7, UR10e), with a log of another robot 19 and 28, with 3 kg on the flange
+of a UR10e 7.8."""
+SHORT = 120.0
+"""Duration [s] below which thresholds are mostly extrapolation."""
+
+
+def velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
+    """Return what to say of velocities that are not used."""
+    if measured:
+        return []
+    why = "lag behind the positions or are noisy" if head_of(log).qd is not None else "are missing"
+    return [
+        Finding(
+            "velocities_filtered",
+            "info",
+            f"logged velocities {why}; positions and torques go through one causal filter, which"
+            " delays alarms by half of the observer's lag",
+        )
+    ]
+
+
+def calibration_findings(thresholds: Thresholds) -> list[Finding]:
+    """Return what to say of the recordings that set thresholds."""
+    seconds = 3600.0 * thresholds.hours
+    if seconds >= SHORT or not thresholds.held_out:
+        return []
+    return [
+        Finding(
+            "calibration_short",
+            "warning",
+            f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
+            " is extrapolated and thresholds are higher than they need be",
+            Cure(f"give recordings of at least {SHORT:.0f} s"),
+        )
+    ]
+
+
+def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
+    """Return in what a log differs from what its thresholds were set on, and what it lacks."""
+    found = []
+    rate, top = log.rate, log.top_speed
+    if log.left_out:
+        found.append(
+            Finding(
+                "rows_left_out",
+                "warning",
+                f"{log.left_out} rows were left out: values that are not finite, or times that do"
+                " not advance; no contact is seen in gaps of more than 0.1 s",
+                Cure("find out why the logger lost them", call="check_recording"),
+            )
+        )
+    if not 1.0 / OTHER_RATE < rate / thresholds.rate < OTHER_RATE:
+        found.append(
+            Finding(
+                "rate_of_thresholds",
+                "warning",
+                f"the log has {rate:.4g} samples per second, the recordings that set the"
+                f" thresholds {thresholds.rate:.4g}; noise differs, so the rate of false alarms"
+                " is not verified",
+                Cure("set the thresholds on recordings of this rate", {"calibrate": "LOG"}),
+            )
+        )
+    faster = np.flatnonzero(top > FASTER * thresholds.top_speed)
+    if not faster.size:
+        return found
+    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
+    names = joined([thresholds.joint_names[k] for k in faster])
+    found.append(
+        Finding(
+            "faster_than_thresholds",
+            "warning",
+            f"{names}: up to {top[worst]:.3g} rad/s or m/s in this log,"
+            f" {thresholds.top_speed[worst]:.3g} where the thresholds were set; false alarms may be"
+            " more frequent",
+            Cure("set the thresholds on motions as fast as those that are watched"),
+            joint=thresholds.joint_names[worst],
+        )
+    )
+    return found
+
+
+def expected_size(result: IdentificationResult, model: Watched) -> Array:
+    """Return the RMS torque error (n,) that the identification found for a model."""
+    metrics = [result.cad] if model == "cad" else [result.train, *result.validation]
+    return np.asarray(np.max([each.rms for each in metrics], axis=0))
+
+
+def model_findings(
+    log: Tally, expected: Array, frame: str, events: Sequence[Event]
+) -> list[Finding]:
+    """Return whether most of a log is unlike its model, and whether a payload explains it.
+
+    Parameters
+    ----------
+    log
+        Statistics of the log.
+    expected
+        RMS torque error (n,) that the identification found.
+    frame
+        Name of the frame of the tool.
+    events
+        Events of the log.
+    """
+    ratio = log.size / np.maximum(expected, np.finfo(float).tiny)
+    worst = int(np.argmax(ratio))
+    unlike = float(np.linalg.norm(log.size) / np.linalg.norm(expected)) > UNLIKE
+    if log.mass is not None and (events or unlike):
+        return [
+            Finding(
+                "payload_in_log",
+                "warning",
+                f"a change of mass of {plus_minus(*log.mass)} kg at {frame} explains the external"
+                " torque of the whole log; contacts show beside it only",
+                Cure("identify the payload, and watch the robot with it", call="identify_payload"),
+            )
+        ]
+    if not unlike:
+        return []
+    return [
+        Finding(
+            "model_disagrees",
+            "warning",
+            f"{log.joint_names[worst]}: an external torque of {log.size[worst]:.3g} N m or N for"
+            f" most of this log, where the model was off by {expected[worst]:.3g} when it was"
+            " identified; it is not the model of this robot with its load, gains and units",
+            Cure("check that log and result belong together, and validate the result on the log"),
+            joint=log.joint_names[worst],
+        )
+    ]
