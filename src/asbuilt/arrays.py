@@ -9,3 +9,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
+
+
+def any_of(mask: Mask) -> Mask:
+    """Return which rows of (N, m) hold a true value; by columns, as rows are short."""
+    found: Mask = np.any(np.ascontiguousarray(mask.T), axis=0)
+    return found

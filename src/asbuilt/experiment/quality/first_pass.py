@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices, Mask, any_of
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.running_statistics import Exceedance, Extremes, PositionMoments
@@ -117,12 +117,10 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         last, chunk = chunk, credible(chunk)
         first = first or chunk
         q, tau = chunk.q, chunk.tau
-        valid_torque = np.isfinite(chunk.t) & np.all(np.isfinite(tau), axis=1)
-        valid = (
-            valid_torque
-            & np.all(np.isfinite(q), axis=1)
-            & (chunk.qd is None or np.all(np.isfinite(chunk.qd), axis=1))
-        )
+        valid_torque = np.isfinite(chunk.t) & ~any_of(~np.isfinite(tau))
+        valid = valid_torque & ~any_of(~np.isfinite(q))
+        if chunk.qd is not None:
+            valid &= ~any_of(~np.isfinite(chunk.qd))
         times.append(np.array(chunk.t))
         flags.append(np.stack([not_repeated, valid_torque, valid]))
         rows = np.arange(begin, begin + chunk.n_samples)
@@ -221,9 +219,7 @@ def _position_limits(model: RobotModel) -> tuple[Array, Array]:
 
 def _not_repeated(chunk: Recording, before: Recording | None) -> Mask:
     """Return which samples differ from the one before, the first from the last of `before`."""
-    changed = np.any(np.diff(chunk.q, axis=0) != 0, axis=1) | np.any(
-        np.diff(chunk.tau, axis=0) != 0, axis=1
-    )
+    changed = any_of(np.diff(chunk.q, axis=0) != 0) | any_of(np.diff(chunk.tau, axis=0) != 0)
     first = before is None or bool(
         np.any(chunk.q[0] != before.q[-1]) or np.any(chunk.tau[0] != before.tau[-1])
     )

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.parallel_filter import filtered_rows
 
 GAP_STEPS = 5.0
 """Multiple of the median time step from which a step is a gap."""
@@ -82,21 +83,25 @@ class UniformSegments:
 def smoothed_motion(segments: UniformSegments, logged: Sequence[Recording]) -> SmoothedMotion:
     """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964).
 
-    `logged` are the samples of each segment.
+    `logged` are the samples of each segment. Derivatives are summed by parts, over steps in place
+    of values, so that a joint at rest has a velocity of exactly 0.
     """
     window, step = segments.window, segments.step
-    inner = slice(window // 2, -(window // 2))
+    value, *slopes = [savgol_coeffs(window, 3, deriv=k, delta=step, use="dot") for k in range(3)]
+    of_steps = [-np.cumsum(taps)[:-1] for taps in slopes]
     smooth: list[list[Array]] = []
     for part in logged:
         columns = [part.q, part.tau] + ([part.qd] if part.qd is not None else [])
         even = np.arange(part.t[0], part.t[-1], step)
         q, *rest = [_resampled(even, part.t, values) for values in columns]
-        derivatives = [savgol_filter(q, window, 3, deriv=k, delta=step, axis=0) for k in range(3)]
-        others = [savgol_filter(values, window, 3, axis=0) for values in rest]
-        smooth.append([values[inner] for values in (*derivatives, *others)])
+        steps = np.diff(q, axis=1)
+        derivatives = [filtered_rows(q, value), *(filtered_rows(steps, each) for each in of_steps)]
+        others = [filtered_rows(values, value) for values in rest]
+        smooth.append([values.T for values in (*derivatives, *others)])
     q, qd, qdd, tau, *measured = [np.concatenate(parts) for parts in zip(*smooth, strict=True)]
     return SmoothedMotion(q, qd, qdd, tau, measured[0] if measured else None, 1.0 / step)
 
 
 def _resampled(even: Array, t: Array, values: Array) -> Array:
-    return np.column_stack([np.interp(even, t, column) for column in values.T])
+    """Return the columns of values (L, n) at the times `even` (N,) as rows (n, N)."""
+    return np.array([np.interp(even, t, column) for column in np.ascontiguousarray(values.T)])

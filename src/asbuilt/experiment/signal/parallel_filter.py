@@ -79,12 +79,7 @@ class ParallelFilter:
         """
         values = np.asarray(x, dtype=np.float64)
         if values.ndim == 2 and axis in (-1, 1) and _has_rows_in_memory(values):
-            rows, length = values.shape
-            result = np.empty((rows, self.n_outputs(length))) if out is None else out
-            stride = values.strides[0] // values.itemsize
-            memory = as_strided(values, ((rows - 1) * stride + length,), values.strides[1:])
-            _filter_rows(memory, stride, self.taps, self.decimation, result)
-            return result
+            return filtered_rows(values, self.taps, self.decimation, out)
         moved = np.ascontiguousarray(np.moveaxis(values, axis, -1))
         flat = self.apply(moved.reshape(-1, moved.shape[-1]), -1)
         return np.ascontiguousarray(
@@ -143,6 +138,20 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
 
     corner = float(optimize.brentq(excess, 0.3 * ratio, min(1.75 * ratio, 0.5), xtol=1e-14))
     return ParallelFilter(taps(corner), decimation, cutoff, rate)
+
+
+def filtered_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = None) -> Array:
+    """Return `y[i, k] = sum_j taps[j] x[i, k decimation + j]` of x (m, L), where all j exist.
+
+    The numbers of a row are neighbours in memory. `out`, if given, is filled.
+    """
+    rows, length = x.shape
+    if out is None:
+        out = np.empty((rows, max(0, (length - taps.size) // decimation + 1)))
+    stride = x.strides[0] // x.itemsize
+    memory = as_strided(x, ((rows - 1) * stride + length,), x.strides[1:])
+    _filter_rows(memory, stride, taps, decimation, out)
+    return out
 
 
 def _has_rows_in_memory(x: Array) -> bool:

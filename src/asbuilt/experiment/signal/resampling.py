@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Mask, any_of
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.bridging import bridged
@@ -62,8 +62,8 @@ def uniform_segments(
     n = recording.n_samples
     kept = (
         np.isfinite(recording.t)
-        & ~_any_of(~np.isfinite(recording.q))
-        & ~_any_of(~np.isfinite(recording.tau))
+        & ~any_of(~np.isfinite(recording.q))
+        & ~any_of(~np.isfinite(recording.tau))
     )
     notes: list[str] = []
     if not kept.all():
@@ -190,13 +190,7 @@ def _slice_of(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
 def _changes(values: Array) -> Mask:
     """Return which rows of (N,) or (N, m) differ from the row before, (N - 1,)."""
     steps = values[1:] != values[:-1]
-    return steps if steps.ndim == 1 else _any_of(steps)
-
-
-def _any_of(mask: Mask) -> Mask:
-    """Return which rows of (N, m) hold a true value; by columns, as rows are short."""
-    found: Mask = np.any(np.ascontiguousarray(mask.T), axis=0)
-    return found
+    return steps if steps.ndim == 1 else any_of(steps)
 
 
 def _logged_rate(t: Array, period: float) -> float:

@@ -18,7 +18,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, friction_bases
 from asbuilt.experiment.quality.torque.torque_order import swapped_torques
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
@@ -41,9 +41,8 @@ def swapped(recording: Recording, one: int, other: int) -> Recording:
 def fit_of(model: RobotModel, recording: Recording) -> TorqueFit:
     q = recording.q
     qd, order = np.gradient(q, recording.t, axis=0), tuple(range(model.n_joints))
-    return TorqueFit(
-        model, q, qd, np.gradient(qd, recording.t, axis=0), recording.tau, order, order
-    )
+    qdd, bases = np.gradient(qd, recording.t, axis=0), friction_bases(qd)
+    return TorqueFit(model, q, qd, qdd, recording.tau, bases, order, order)
 
 
 @pytest.mark.parametrize("robot", ["scara", "ur10e", "puma-560"])

@@ -1,7 +1,13 @@
-"""Binary logs of unknown origin, read in another process with limits of memory and time."""
+"""Binary logs of unknown origin, read in another process with limits of memory and time.
+
+A process that starts costs more than most files take to read, so one that has read a file well
+reads the next. It gains nothing that it lacked: it is no prison, it only takes crashes, memory and
+time upon itself. One that has met an error is not used again.
+"""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import importlib
@@ -28,6 +34,10 @@ PROGRAM = (
 )
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux."""
+MOST_FILES = 100
+"""Files that a process reads before another takes its place, lest its memory grow."""
+LARGEST_KEPT = 20e6
+"""Size of a file [bytes] beyond which its process is not kept: memory that it took may stay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +111,72 @@ def read_isolated(read: Callable[..., LogTable], path: Path, **settings: str | N
     )
 
 
+class _Reader:
+    """A process that reads one file after another."""
+
+    def __init__(self) -> None:
+        program = PROGRAM.format(path=[each for each in sys.path if each], parent=os.getpid())
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-S", "-c", program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        self._made_by = (os.getpid(), tuple(sys.path))
+        self.files = 0
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it still runs, and was started by this process with the same modules."""
+        mine = self._made_by == (os.getpid(), tuple(sys.path))
+        return mine and self._process.poll() is None
+
+    def answer(self, request: Mapping[str, Any], most: int) -> tuple[dict[str, Any], list[Any]]:
+        """Return the answer to a request and its columns; `EOFError` if the process ends."""
+        self.files += 1
+        stdin, stdout = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
+        with contextlib.suppress(BrokenPipeError):
+            stdin.write(json.dumps(request).encode() + b"\n")
+            stdin.flush()
+        found = _received(stdout, most)
+        if found is None:
+            raise EOFError
+        return found
+
+    def end(self) -> int:
+        """End the process if it runs, and return its exit status."""
+        if self._made_by[0] != os.getpid():
+            return 0
+        for stream in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError):
+                cast(BinaryIO, stream).close()
+        try:
+            return self._process.wait(ENDING)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
+
+
+ENDING = 0.5
+"""Seconds that a process is given to end by itself, as one that has no more requests does."""
+_idle: list[_Reader] = []
+
+
+@atexit.register
+def _end_idle() -> None:
+    while _idle:
+        _idle.pop().end()
+
+
 def _call(
     read: Callable[..., Any], path: Path, size: float, settings: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[Any]]:
-    """Return the answer of another process, and the columns that follow it."""
+    """Return the answer of another process, and the columns that follow it.
+
+    A process that was idle may end before it sees the request; then another one is asked.
+    """
     request = {
         "module": read.__module__,
         "function": read.__name__,
@@ -113,25 +185,34 @@ def _call(
         "memory": LIMITS.memory_for(size),
         "time": LIMITS.time_for(size),
     }
-    program = PROGRAM.format(path=[each for each in sys.path if each], parent=os.getpid())
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"}
-    process = subprocess.Popen(
-        [sys.executable, "-S", "-c", program],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-    )
-    stdin, stdout = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
-    try:
-        with contextlib.suppress(BrokenPipeError), stdin:
-            stdin.write(json.dumps(request).encode())
-        found = _received(stdout, LIMITS.memory_for(size))
-    finally:
-        process.kill() if sys.exc_info()[0] else None
-        stdout.close()
-        status = process.wait()
-    return found if found is not None else ({"error": _crash(path, size, status)}, [])
+    while True:
+        reader = _taken() or _Reader()
+        try:
+            answer, columns = reader.answer(request, LIMITS.memory_for(size))
+        except EOFError:
+            status = reader.end()
+            if reader.files > 1:
+                continue
+            return {"error": _crash(path, size, status)}, []
+        except BaseException:
+            reader.end()
+            raise
+        if "error" in answer or size > LARGEST_KEPT or reader.files >= MOST_FILES:
+            reader.end()
+        else:
+            _idle.append(reader)
+        return answer, columns
+
+
+def _taken() -> _Reader | None:
+    """Return an idle process that can be used."""
+    while _idle:
+        with contextlib.suppress(IndexError):
+            reader = _idle.pop()
+            if reader.is_usable:
+                return reader
+            reader.end()
+    return None
 
 
 def _received(stream: BinaryIO, most: int) -> tuple[dict[str, Any], list[Any]] | None:
@@ -184,17 +265,18 @@ def _size(path: Path) -> float:
 
 
 def serve(parent: int) -> None:
-    """Answer one request from stdin on stdout; what this process runs."""
+    """Answer requests from stdin on stdout until there are no more; what this process runs."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     _end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    request = json.load(sys.stdin)
-    answer, columns = _answer(request)
-    answers.write(json.dumps(answer).encode() + b"\n")
-    for values in columns:
-        answers.write(np.ascontiguousarray(values, dtype=np.float64).data)
-    answers.flush()
+    for line in sys.stdin.buffer:
+        answer, columns = _answer(json.loads(line))
+        answers.write(json.dumps(answer).encode() + b"\n")
+        for values in columns:
+            answers.write(np.ascontiguousarray(values, dtype=np.float64).data)
+        answers.flush()
+        _unlimited()
     os._exit(0)
 
 
@@ -241,9 +323,22 @@ def _limit(memory: int, seconds: float) -> None:
         return
     with contextlib.suppress(OSError, ValueError):
         used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_DATA, (used + memory,) * 2)
+        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        resource.setrlimit(resource.RLIMIT_DATA, (used + memory, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _unlimited() -> None:
+    """Lift the limits of `_limit`, between requests."""
+    try:
+        import resource  # noqa: PLC0415 - not on Windows
+    except ImportError:
+        return
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    with contextlib.suppress(OSError, ValueError):
+        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def _end_with(parent: int) -> None:

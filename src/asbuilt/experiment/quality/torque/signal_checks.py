@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.signal import welch
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.second_pass import SecondPass
+from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.findings import Cure, Finding
 
 _QUIET_FLOOR = 1e-9
@@ -77,8 +77,8 @@ def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     if not long_enough or not np.isfinite(rate):
         return
     length = min(1024, *(len(tau) for tau in long_enough))
-    spectra = [_spectrum(tau, rate, length) for tau in long_enough]
-    frequency, power = spectra[0][0], np.mean([power for _, power in spectra], axis=0)
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    power = np.mean([power_density(_level(tau), rate, length) for tau in long_enough], axis=0)
     peak = power.max(axis=0)
     if not np.any(peak > 0):
         return
@@ -110,9 +110,8 @@ def _longest_consecutive(places: Indices) -> tuple[int, int]:
     return int(lengths[longest]), int(places[starts[longest]])
 
 
-def _spectrum(tau: Array, rate: float, length: int) -> tuple[Array, Array]:
+def _level(tau: Array) -> Array:
+    """Return torques (N, n) without mean and trend."""
     trend = np.linspace(-1.0, 1.0, tau.shape[0])[:, None]
     level = tau - tau.mean(axis=0)
-    level = level - trend * (trend * level).sum(axis=0) / np.sum(trend**2)
-    frequency, power = welch(level, fs=rate, nperseg=length, axis=0)
-    return frequency, power
+    return np.asarray(level - trend * (trend * level).sum(axis=0) / np.sum(trend**2))

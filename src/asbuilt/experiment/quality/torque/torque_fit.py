@@ -46,7 +46,7 @@ class TorqueFit:
 
     `motion_of[k]` and `torque_of[k]` are the columns taken for joint k. Measured y_k and predicted
     x_k are the residuals of each after a fit of 1, qd_k and tanh(qd_k / 0.02): offset and friction
-    are taken out of both.
+    are taken out of both. `friction` are the `friction_bases` of qd.
     """
 
     model: RobotModel
@@ -54,6 +54,7 @@ class TorqueFit:
     qd: Array
     qdd: Array
     tau: Array
+    friction: Array
     motion_of: tuple[int, ...]
     torque_of: tuple[int, ...]
 
@@ -64,12 +65,14 @@ class TorqueFit:
         """Compare a smoothed motion, positions times `scale` (n,), in the order logged."""
         rows = motion.thinned(THRESHOLDS.most_samples)
         order = tuple(range(model.n_joints))
+        qd = motion.qd[rows] * scale
         return cls(
             model,
             motion.q[rows] * scale,
-            motion.qd[rows] * scale,
+            qd,
             motion.qdd[rows] * scale,
             motion.tau[rows] * torque_scale,
+            friction_bases(qd),
             order,
             order,
         )
@@ -83,13 +86,9 @@ class TorqueFit:
 
     def without_friction(self, torque: Array) -> Array:
         """Return torques (N, n) without what offset and friction of each joint explain."""
-        qd, rest = self.qd[:, list(self.motion_of)], np.array(torque)
-        for k in range(rest.shape[1]):
-            basis, _ = np.linalg.qr(
-                np.column_stack([np.ones(len(qd)), qd[:, k], np.tanh(qd[:, k] / BREAKAWAY)])
-            )
-            rest[:, k] -= basis @ (basis.T @ rest[:, k])
-        return rest
+        bases, columns = self.friction[list(self.motion_of)], torque.T[:, :, None]
+        rest = columns - bases @ (bases.swapaxes(1, 2) @ columns)
+        return np.ascontiguousarray(rest[:, :, 0].T)
 
     @property
     def predicted(self) -> Array:
@@ -177,6 +176,12 @@ class TorqueFit:
             if self.model.n_joints <= THRESHOLDS.most_joints:
                 yield replace(self, torque_of=torque_of, motion_of=motion_of)
                 yield replace(self, motion_of=motion_of)
+
+
+def friction_bases(qd: Array) -> Array:
+    """Return orthonormal bases (n, N, 3) of 1, qd_k and tanh(qd_k / 0.02) for velocities (N, n)."""
+    terms = np.stack([np.ones_like(qd), qd, np.tanh(qd / BREAKAWAY)], axis=-1)
+    return np.asarray(np.linalg.qr(terms.swapaxes(0, 1))[0])
 
 
 def best_assignment(fit: TorqueFit) -> TorqueFit:

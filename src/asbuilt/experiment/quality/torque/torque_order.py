@@ -67,8 +67,8 @@ def swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     spread = np.where(spread > 0.0, spread, 1.0)
     y = y / spread
     normal = _NormalEquations(
-        np.einsum("skp,skq->kpq", W, W),
-        np.einsum("skp,sj->kjp", W, y),
+        W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
+        y.T @ W.transpose(1, 0, 2),
         np.mean(y**2, axis=0),
         spread,
         samples,
@@ -106,13 +106,13 @@ class _NormalEquations:
         order = list(torque_of)
         scale = 1.0 / self.spread[order]
         side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
-        gram = np.einsum("k,kpq->pq", scale**2, self.grams)
+        gram = np.tensordot(scale**2, self.grams, axes=1)
         size = np.sqrt(np.diag(gram))
         size = np.where(size > 0.0, size, 1.0)
         eigenvalues, axes = np.linalg.eigh(gram / np.outer(size, size))
         excited = eigenvalues > THRESHOLDS.singular * eigenvalues[-1]
         axes = axes[:, excited] / size[:, None]
         beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited])
-        explained = np.einsum("k,p,kpq,q->k", scale**2, beta, self.grams, beta)
+        explained = scale**2 * (self.grams @ beta @ beta)
         residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))

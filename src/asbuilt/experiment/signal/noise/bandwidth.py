@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 from scipy.ndimage import uniform_filter1d
 
 from asbuilt.arrays import Array
+from asbuilt.experiment.signal.noise.spectrum import power_density
 
 VELOCITY_SHARE = 0.95
 """Share of the velocity's power that lies below the motion's bandwidth."""
@@ -37,10 +37,8 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
     for q in segments:
         if q.shape[0] <= window:
             continue
-        _, density = signal.welch(
-            np.diff(q, axis=0) * rate, rate, nperseg=window, detrend=False, axis=0
-        )
-        total += density * (q.shape[0] - 1)
+        velocity = np.diff(q, axis=0) * rate
+        total += power_density(velocity, rate, window, centred=False) * (q.shape[0] - 1)
     total[_noise_bins(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
     power = total.sum(axis=0)
     moving = power > 1e-4 * power.max()

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import signal
 
 from asbuilt.arrays import Array
+from asbuilt.experiment.signal.noise.spectrum import power_density
 
 LOWEST = 3.0
 """Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a second."""
@@ -141,10 +141,7 @@ def _spectrum(parts: Sequence[Array], rate: float, window: int) -> Array:
     weight = 0
     for x in parts:
         if x.shape[0] >= window:
-            _, density = signal.welch(
-                x, rate, window="blackmanharris", nperseg=window, detrend="constant", axis=0
-            )
-            total += x.shape[0] * density
+            total += x.shape[0] * power_density(x, rate, window, window="blackmanharris")
             weight += x.shape[0]
     return total / weight
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.compilation import compiled
 
 MOST_DIFFERENCES = 20_000
 """Differences of a joint that are used; of longer recordings every second, third, ..."""
@@ -82,19 +83,30 @@ def _candidates(size: Array) -> Array:
     return np.unique(found)[::-1]
 
 
+@compiled
 def _refined(size: Array, step: float) -> float:
     """Return the least-squares step of the differences that are near multiples of `step`."""
     for most in (2.5, 8.5, LARGEST_MULTIPLE):
-        multiple = np.rint(size / step)
-        near = (np.abs(size / step - multiple) < 2.0 * NEAR) & (multiple >= 1) & (multiple < most)
-        if near.any():
-            step = float(size[near] @ multiple[near] / (multiple[near] @ multiple[near]))
+        product = square = 0.0
+        for x in size:
+            multiple = np.rint(x / step)
+            if abs(x / step - multiple) < 2.0 * NEAR and 1.0 <= multiple < most:
+                product += x * multiple
+                square += multiple * multiple
+        if square > 0.0:
+            step = product / square
     return step
 
 
+@compiled
 def _share(size: Array, step: float) -> float:
-    multiple = np.rint(size / step)
-    return float(np.mean((np.abs(size / step - multiple) < NEAR) & (multiple >= 1)))
+    """Return the share of differences that are near multiples of `step`."""
+    count = 0
+    for x in size:
+        multiple = np.rint(x / step)
+        if abs(x / step - multiple) < NEAR and multiple >= 1.0:
+            count += 1
+    return count / size.size
 
 
 def _constant_speed(multiples: Array, n_all: int) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
@@ -203,7 +203,8 @@ def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tu
     """Return findings if a log alone would have led to other settings than its type has."""
     if settings.asked_chain.cutoff is not None or settings.chain.cutoff is None:
         return ()
-    wanted = resolve_chain(settings.asked_chain, head).cutoff or 0.0
+    kept = replace(settings.asked_chain, rests=True)  # standstill speeds, unused here, take longer
+    wanted = resolve_chain(kept, head).cutoff or 0.0
     ratio = wanted / settings.chain.cutoff
     if 1.0 / OTHER_CUTOFF < ratio < OTHER_CUTOFF:
         return ()

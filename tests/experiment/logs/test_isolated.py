@@ -1,0 +1,137 @@
+"""The process that reads files of unknown origin: kept while all is well, replaced after a fault."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats import isolated
+from asbuilt.experiment.logs.formats.isolated import read_isolated
+from asbuilt.experiment.logs.formats.log_format import LogTable
+
+READERS = '''
+import os, resource, signal, time
+import numpy as np
+from asbuilt.experiment.logs.formats.log_format import LogTable
+
+def process(path):
+    return LogTable(source=str(path), columns={"pid": np.array([float(os.getpid())])})
+
+def limits(path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    left = signal.getitimer(signal.ITIMER_REAL)[0]
+    return LogTable(source=str(path), columns={"left": np.array([left])}, notes=(str(soft),))
+
+def refuses(path):
+    raise ValueError("no numbers")
+
+def crashes(path):
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+def hangs(path):
+    time.sleep(60)
+
+def is_killed_before(path):
+    """Crash in a process that has read before, as if it had been killed while it was idle."""
+    if limits.__doc__:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return process(path)
+
+def marks(path):
+    limits.__doc__ = "marked"
+    return process(path)
+'''
+
+
+@pytest.fixture
+def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], LogTable]:
+    name = f"readers_of_{tmp_path.name.replace('-', '_')}"
+    (tmp_path / f"{name}.py").write_text(READERS)
+    log = tmp_path / "log.bin"
+    log.write_bytes(b"0")
+    monkeypatch.syspath_prepend(tmp_path)
+    module = __import__(name)
+    monkeypatch.setattr(isolated, "_idle", [])
+    yield lambda what: read_isolated(getattr(module, what), log)
+    isolated._end_idle()
+    sys.modules.pop(name)
+
+
+def process_of(table: LogTable) -> int:
+    return int(table.columns["pid"][0])
+
+
+def is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_one_process_reads_many_files(read: Callable[[str], LogTable]) -> None:
+    first = process_of(read("process"))
+    assert first != os.getpid()
+    assert {process_of(read("process")) for _ in range(3)} == {first}
+
+
+@pytest.mark.parametrize(
+    ("what", "said"), [("refuses", "no numbers"), ("crashes", "crashes its reader (SIGSEGV)")]
+)
+def test_a_process_that_met_an_error_is_not_used_again(
+    read: Callable[[str], LogTable], what: str, said: str
+) -> None:
+    first = process_of(read("process"))
+    with pytest.raises(RecordingError) as caught:
+        read(what)
+    assert said in str(caught.value)
+    assert not is_running(first)
+    assert process_of(read("process")) != first
+
+
+def test_a_file_that_takes_too_long_ends_its_process(
+    read: Callable[[str], LogTable], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = process_of(read("process"))
+    monkeypatch.setattr(isolated, "LIMITS", replace(isolated.LIMITS, time=0.3))
+    with pytest.raises(RecordingError, match="takes longer than 0 s to read"):
+        read("hangs")
+    assert not is_running(first)
+
+
+def test_a_process_that_was_killed_while_idle_is_replaced(read: Callable[[str], LogTable]) -> None:
+    first = process_of(read("process"))
+    os.kill(first, signal.SIGKILL)
+    assert process_of(read("process")) != first
+    second = process_of(read("marks"))
+    assert process_of(read("is_killed_before")) != second
+
+
+def test_every_file_has_limits_of_its_own(
+    read: Callable[[str], LogTable], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read("process")
+    tables = []
+    for seconds in (50.0, 90.0):
+        monkeypatch.setattr(isolated, "LIMITS", replace(isolated.LIMITS, time=seconds))
+        tables.append(read("limits"))
+    for seconds, table in zip((50.0, 90.0), tables, strict=True):
+        assert 0.0 <= seconds - table.columns["left"][0] < 5.0
+    first, second = (int(table.notes[0]) for table in tables)
+    assert 0 < first
+    assert abs(second - first) < isolated.LIMITS.memory
+
+
+def test_a_process_is_replaced_after_many_files(
+    read: Callable[[str], LogTable], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(isolated, "MOST_FILES", 2)
+    found = [process_of(read("process")) for _ in range(4)]
+    assert found[0] == found[1] != found[2] == found[3]
