@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,7 +51,7 @@ def marks(path):
 
 
 @pytest.fixture
-def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], LogTable]:
+def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], LogTable]]:
     name = f"readers_of_{tmp_path.name.replace('-', '_')}"
     (tmp_path / f"{name}.py").write_text(READERS)
     log = tmp_path / "log.bin"

@@ -25,7 +25,12 @@ def central_differences(x: ArrayLike, rate: float) -> Array:
     values = np.asarray(x, dtype=np.float64)
     if values.shape[0] < 3:
         raise UsageError(f"central differences need at least 3 samples, got {values.shape[0]}")
-    return np.asarray(np.gradient(values, 1.0 / rate, axis=0, edge_order=2), dtype=np.float64)
+    slopes = np.empty_like(values)
+    np.subtract(values[2:], values[:-2], out=slopes[1:-1])
+    slopes[1:-1] *= 0.5 * rate
+    slopes[0] = rate * (-1.5 * values[0] + 2.0 * values[1] - 0.5 * values[2])
+    slopes[-1] = rate * (0.5 * values[-3] - 2.0 * values[-2] + 1.5 * values[-1])
+    return slopes
 
 
 def savitzky_golay(

@@ -186,7 +186,8 @@ class FilterPlan:
         ranges = [(0, segment.t.size)]
         if not self.chain.rests and speeds is not None:
             still = at_rest(qd, speeds, self.rate)
-            qd, qdd = np.where(still, 0.0, qd), np.where(still, 0.0, qdd)
+            if still.any():
+                qd, qdd = np.where(still, 0.0, qd), np.where(still, 0.0, qdd)
             ranges = moving_ranges(still, self.rate, self.shoulder)
         m = self.anti_alias.margin if self.anti_alias else 0
         parts, after = [], stop

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from asbuilt.arrays import Array, Mask, any_of
+from asbuilt.arrays import Array, Mask
+from asbuilt.dynamics.kernels.compilation import compiled
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.bridging import bridged
@@ -60,11 +61,7 @@ def uniform_segments(
         If nothing is left, or `rate` is far above that of the log.
     """
     n = recording.n_samples
-    kept = (
-        np.isfinite(recording.t)
-        & ~any_of(~np.isfinite(recording.q))
-        & ~any_of(~np.isfinite(recording.tau))
-    )
+    kept = np.isfinite(recording.t) & _finite_rows(recording.q) & _finite_rows(recording.tau)
     notes: list[str] = []
     if not kept.all():
         notes.append(
@@ -165,12 +162,17 @@ def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.i
 
     A second torque channel that changes makes a sample new.
     """
+    if not index.size:
+        return index
     part = _slice_of(index)
     rows = [recording.q[part], recording.tau[part]] + (
         [recording.qd[part]] if recording.qd is not None else []
     )
     rows += [each[part] for key, each in recording.extra.items() if key.startswith("tau")]
-    changed = np.concatenate([[True], np.any([_changes(row) for row in rows], axis=0)])
+    changed = np.zeros(index.size, dtype=np.bool_)
+    changed[0] = True
+    for row in rows:
+        _add_changes(changed, row.reshape(index.size, -1))
     if changed.all():
         return index
     starts = np.flatnonzero(changed)
@@ -187,10 +189,22 @@ def _slice_of(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return rows
 
 
-def _changes(values: Array) -> Mask:
-    """Return which rows of (N,) or (N, m) differ from the row before, (N - 1,)."""
-    steps = values[1:] != values[:-1]
-    return steps if steps.ndim == 1 else any_of(steps)
+@compiled
+def _finite_rows(values: Array) -> Mask:
+    """Return which rows of (N, m) are finite."""
+    finite = np.ones(values.shape[0], dtype=np.bool_)
+    for k in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            finite[k] &= np.isfinite(values[k, j])
+    return finite
+
+
+@compiled
+def _add_changes(changed: Mask, values: Array) -> None:
+    """Mark rows of (N, m) that differ from the row before."""
+    for k in range(1, values.shape[0]):
+        for j in range(values.shape[1]):
+            changed[k] |= values[k, j] != values[k - 1, j]
 
 
 def _logged_rate(t: Array, period: float) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
+from asbuilt.dynamics.kernels.compilation import compiled
 
 SLOW = 0.003
 """Share of a joint's top speed below which it may be at rest."""
@@ -24,8 +25,10 @@ def standstill_speeds(velocities: Sequence[Array]) -> tuple[float, ...]:
 
 def at_rest(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
     """Return where each joint is at rest, (L, n): slower than its speed for `PAUSE` or longer."""
-    slow = np.abs(qd) < np.asarray(speeds)
-    return np.column_stack([_lasting(slow[:, k], PAUSE * rate) for k in range(qd.shape[1])])
+    slow = np.ascontiguousarray(np.abs(qd.T) < np.asarray(speeds)[:, None])
+    for each in slow:
+        _keep_lasting(each, PAUSE * rate)
+    return slow.T
 
 
 def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, int]]:
@@ -34,7 +37,8 @@ def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, in
     During a rest friction takes any value up to the Coulomb torque, which a model whose friction
     follows the velocity does not describe.
     """
-    rest = _lasting(np.asarray(still.all(axis=1)), PAUSE * rate)
+    rest = np.array(still.all(axis=1))
+    _keep_lasting(rest, PAUSE * rate)
     keep = ~rest
     for a, b in _runs(rest):
         keep[a : a + shoulder if a > 0 else a] = True
@@ -42,11 +46,18 @@ def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, in
     return _runs(keep)
 
 
-def _lasting(mask: Mask, samples: float) -> Mask:
-    lasting = np.zeros_like(mask)
-    for a, b in _runs(mask):
-        lasting[a:b] = b - a >= samples
-    return lasting
+@compiled
+def _keep_lasting(mask: Mask, samples: float) -> None:
+    """Set runs of true values that are shorter than `samples` to false."""
+    length = 0
+    for k in range(mask.size + 1):
+        if k < mask.size and mask[k]:
+            length += 1
+        else:
+            if length < samples:
+                for j in range(k - length, k):
+                    mask[j] = False
+            length = 0
 
 
 def _runs(mask: Mask) -> list[tuple[int, int]]:
