@@ -1,4 +1,4 @@
-"""The process that reads files of unknown origin: kept while all is well, replaced after a fault."""
+"""The process that reads files of unknown origin: kept while all is well, else replaced."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_every_file_has_limits_of_its_own(
     for seconds, table in zip((50.0, 90.0), tables, strict=True):
         assert 0.0 <= seconds - table.columns["left"][0] < 5.0
     first, second = (int(table.notes[0]) for table in tables)
-    assert 0 < first
+    assert first > 0
     assert abs(second - first) < isolated.LIMITS.memory
 
 

@@ -12,7 +12,6 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.compilation import compiled
 from asbuilt.errors import UsageError
 
-
 AT_ONCE = 4
 """Columns that are filtered together."""
 
