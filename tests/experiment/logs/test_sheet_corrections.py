@@ -29,6 +29,15 @@ def test_zero_positions_are_subtracted(tmp_path: Path) -> None:
     assert any("positions count from 0.5, -0.25" in note for note in recording.notes)
 
 
+def test_positions_that_turn_the_other_way(tmp_path: Path) -> None:
+    sheet = "position_sign = [1, -1]\nzero = [0.5, -0.25]"
+    recording = read_recording(log_with(tmp_path, sheet), model=MODEL)
+    np.testing.assert_allclose(recording.q[:, 0], 0.1 * np.arange(50) - 0.5)
+    np.testing.assert_allclose(recording.q[:, 1], -(-0.2 * np.arange(50) + 0.25))
+    np.testing.assert_allclose(recording.tau, np.tile([1.0, 2.0], (50, 1)))
+    assert any("positions were multiplied by 1, -1" in note for note in recording.notes)
+
+
 def test_the_clock_is_multiplied(tmp_path: Path) -> None:
     recording = read_recording(log_with(tmp_path, "time_factor = 0.5"), model=MODEL)
     np.testing.assert_allclose(np.diff(recording.t), 0.01)
@@ -40,6 +49,8 @@ def test_the_clock_is_multiplied(tmp_path: Path) -> None:
         ("zero = [1, 2, 3]", "3 zero positions for 2 joints"),
         ("zero = [nan, 0]", "zero"),
         ("time_factor = 0", "time_factor"),
+        ("position_sign = [1, 2]", "position_sign"),
+        ("position_sign = [1, 1, 1]", "3 position signs for 2 joints"),
     ],
 )
 def test_impossible_corrections_are_refused(tmp_path: Path, sheet: str, said: str) -> None:

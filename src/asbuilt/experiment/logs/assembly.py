@@ -11,7 +11,6 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import LIMITS, PositionServo
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.magnitude import signed_by_command
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.layout import Layout
@@ -85,7 +84,7 @@ def build_recording(
 
 
 def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOptions) -> Recording:
-    """Apply torque source, clock, zero positions, sign, gains and time windows.
+    """Apply torque source, clock, joint conventions, torque signs, gains and time windows.
 
     Gain and torque source of the options replace the sheet's; `flip_torque` changes the sign that
     results.
@@ -98,19 +97,12 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         recording = replace(
             recording, t=recording.t * sheet.time_factor, notes=(*recording.notes, note)
         )
+    if sheet.position_sign is not None:
+        recording = _turned(recording, _of_joints(recording, sheet.position_sign, "position signs"))
     if sheet.zero is not None:
-        recording = _from_zero(recording, sheet.zero)
-    if sheet.sign == "command":
-        recording = signed_by_command(recording, {*sheet.lock, *(options.lock or ())})
-    elif sheet.sign is not None:
-        signs = np.atleast_1d(np.asarray(sheet.sign, dtype=np.float64))
-        if signs.size not in (1, recording.n_joints):
-            raise RecordingError(
-                f"{recording.source}: the sheet gives {signs.size} signs for {recording.n_joints}"
-                " joints",
-                file=recording.source,
-                value=signs.tolist(),
-            )
+        recording = _from_zero(recording, sheet)
+    if sheet.sign is not None:
+        signs = _of_joints(recording, sheet.sign, "signs")
         if np.all(signs < 0):
             recording = recording.flipped()
         elif np.any(signs < 0):
@@ -139,21 +131,48 @@ UNLIMITED = ("torque_limit", "goal_speed")
 """Limits of a servo that are taken to be absent unless they are stated."""
 
 
-def _from_zero(recording: Recording, zero: float | list[float]) -> Recording:
-    """Return a recording with these positions (one, or one per joint) subtracted."""
-    zeros = np.atleast_1d(np.asarray(zero, dtype=np.float64))
-    if zeros.size not in (1, recording.n_joints):
+def _of_joints(recording: Recording, given: float | list[float], what: str) -> Array:
+    """Return the numbers of a sheet, one or (n,); raise where there are not as many as joints."""
+    numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
+    if numbers.size not in (1, recording.n_joints):
         raise RecordingError(
-            f"{recording.source}: the sheet gives {zeros.size} zero positions for"
-            f" {recording.n_joints} joints",
+            f"{recording.source}: the sheet gives {numbers.size} {what} for {recording.n_joints}"
+            " joints",
+            cure=Cure("give one, or one per joint"),
             file=recording.source,
-            value=zeros.tolist(),
+            value=numbers.tolist(),
+            expected=recording.n_joints,
         )
-    listed = ", ".join(f"{value:g}" for value in zeros)
+    return numbers
+
+
+def _turned(recording: Recording, signs: Array) -> Recording:
+    """Return a recording whose motion is multiplied by these signs, one or (n,)."""
+
+    def times(values: Array | None) -> Array | None:
+        return None if values is None else values * signs
+
+    listed = ", ".join(f"{value:g}" for value in signs)
     return replace(
         recording,
-        q=recording.q - zeros,
-        command=None if recording.command is None else recording.command - zeros,
+        q=recording.q * signs,
+        qd=times(recording.qd),
+        qdd=times(recording.qdd),
+        command=times(recording.command),
+        notes=(*recording.notes, f"positions were multiplied by {listed}"),
+    )
+
+
+def _from_zero(recording: Recording, sheet: RecordingSheet) -> Recording:
+    """Return a recording whose positions count from those that the log gives at zero."""
+    assert sheet.zero is not None
+    zeros = _of_joints(recording, sheet.zero, "zero positions")
+    listed = ", ".join(f"{value:g}" for value in zeros)
+    signs = np.asarray(1.0 if sheet.position_sign is None else sheet.position_sign)
+    return replace(
+        recording,
+        q=recording.q - signs * zeros,
+        command=None if recording.command is None else recording.command - signs * zeros,
         notes=(*recording.notes, f"positions count from {listed}"),
     )
 

@@ -73,16 +73,6 @@ class SheetColumns(_Part):
     command: ColumnList | None = None
     extra: dict[str, ColumnList] = Field(default_factory=dict)
 
-    @property
-    def numbered(self) -> bool:
-        """Whether positions are given, and all columns by number, so that names do not matter."""
-        listed = [self.position, self.velocity, self.acceleration, self.torque, self.command]
-        given = [each for each in (*listed, *self.extra.values()) if each is not None]
-        columns = [column for each in given for column in each]
-        return self.position is not None and all(
-            isinstance(column, int) for column in [*columns, *([self.time] if self.time else [])]
-        )
-
 
 class SheetUnits(_Part):
     """Units of the log, each converted to SI: "deg", "deg/s", "mN m", "ms", ..."""
@@ -132,9 +122,10 @@ class SheetFiles(_Part):
 class RecordingSheet(_Part):
     """Describe a log: every field is optional and overrides what the column names give.
 
-    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's;
-    "command" where it gives magnitudes, whose sign is that of the servo's control error),
-    `gains` turn them into N m (amperes times N m/A); both are one number or one per joint. `zero`
+    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
+    `gains` turn them into N m (amperes times N m/A); `position_sign` multiplies positions,
+    velocities, accelerations and commands (-1 where the log's joint turns the other way than the
+    description's); each is one number or one per joint. `zero`
     are the positions [rad or m] that the log gives where the description has zero, and
     `time_factor` multiplies the log's times, where its clock is wrong. `lock`
     names joints that are not identified, with their positions [rad or m] if these are known.
@@ -155,8 +146,9 @@ class RecordingSheet(_Part):
     separator: Literal[",", ";", "\t", "|", " "] | None = None
     joints: list[str] | dict[str, str] | None = None
     torque_source: TorqueSource | None = None
-    sign: float | list[float] | Literal["command"] | None = None
+    sign: float | list[float] | None = None
     gains: float | list[float] | None = None
+    position_sign: float | list[float] | None = None
     zero: FiniteNumber | list[FiniteNumber] | None = None
     time_factor: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     kp: ServoNumbers = None
@@ -183,27 +175,21 @@ class RecordingSheet(_Part):
 
     @model_validator(mode="after")
     def _signs(self) -> RecordingSheet:
-        signs = (
-            self.sign
-            if isinstance(self.sign, list)
-            else []
-            if self.sign is None or self.sign == "command"
-            else [self.sign]
-        )
-        if any(sign not in (1, -1) for sign in signs):
-            raise ValueError(
-                f"sign: {self.sign} is given; each sign is 1 or -1 (other factors are gains)"
-            )
-        gains = (
-            self.gains
-            if isinstance(self.gains, list)
-            else []
-            if self.gains is None
-            else [self.gains]
-        )
-        if any(gain == 0 or not math.isfinite(gain) for gain in gains):
+        for name in ("sign", "position_sign"):
+            given = getattr(self, name)
+            if any(sign not in (1, -1) for sign in _listed(given)):
+                raise ValueError(
+                    f"{name}: {given} is given; each sign is 1 or -1 (other factors are gains)"
+                )
+        if any(gain == 0 or not math.isfinite(gain) for gain in _listed(self.gains)):
             raise ValueError(f"gains: {self.gains} is given; each must be finite and not zero")
         return self
+
+
+def _listed(given: float | list[float] | None) -> list[float]:
+    if given is None:
+        return []
+    return given if isinstance(given, list) else [given]
 
 
 def read_sheet(path: str | Path) -> RecordingSheet:

@@ -103,7 +103,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         If there is no chunk, or the joints are not those of the model.
     """
     n = model.n_joints
-    lower, upper = _position_limits(model)
+    lower, upper = position_limits(model)
     full = FULL_TORQUE * np.array([joint.limits.torque for joint in model.joints])
     positions, torques, moments = Extremes.none(n), Extremes.none(n), PositionMoments.none(n)
     outside, saturated = Exceedance.none(n), Exceedance.none(n)
@@ -211,7 +211,8 @@ def _quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
         yield "acceleration", recording.qdd
 
 
-def _position_limits(model: RobotModel) -> tuple[Array, Array]:
+def position_limits(model: RobotModel) -> tuple[Array, Array]:
+    """Return the lower and upper limits of the positions [rad or m], each (n,)."""
     endless = [joint.kind == "continuous" for joint in model.joints]
     lower = np.where(endless, -np.inf, [joint.limits.lower for joint in model.joints])
     return lower, np.where(endless, np.inf, [joint.limits.upper for joint in model.joints])

@@ -264,8 +264,8 @@ def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:
             lines[-1] = open_line + right
             open_line = ""
         else:
-            lines.append(wrapped(text, f"{label:<15}"))
-            open_line = f"{label:<15}{text:<{width}}"
+            lines.append(wrapped(text, f"{label:<14} "))
+            open_line = f"{label:<14} {text:<{width}}"
             open_line = open_line if len(open_line) < WIDTH // 2 + 2 else ""
     return [line.rstrip() for line in lines]
 

@@ -12,6 +12,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.torque.gravity_direction import gravity_finding
+from asbuilt.experiment.quality.torque.joint_convention import convention_finding
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment
 from asbuilt.experiment.quality.torque.torque_order import swapped_torques
 from asbuilt.findings import Cure, Finding, Severity, joined
@@ -89,9 +90,13 @@ def torque_findings(
     else:
         ratio = 1.0
     best = best_assignment(fit)
+    other = convention_finding(best)
     if best is not fit:
         yield _swapped(model, fit, best)
-    else:
+    if other is not None:
+        yield other[0]
+        best = other[1]
+    elif best is fit:
         yield from _swapped_without_cad(model, fit)
     yield from _sign_and_scale(model, recording, best, ratio)
 
