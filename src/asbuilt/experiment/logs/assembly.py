@@ -11,6 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import LIMITS, PositionServo
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.command.magnitude import signed_by_command
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.layout import Layout
@@ -101,7 +102,9 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         recording = _turned(recording, _of_joints(recording, sheet.position_sign, "position signs"))
     if sheet.zero is not None:
         recording = _from_zero(recording, sheet)
-    if sheet.sign is not None:
+    if sheet.sign == "command":
+        recording = signed_by_command(recording, {*sheet.lock, *(options.lock or ())})
+    elif sheet.sign is not None:
         signs = _of_joints(recording, sheet.sign, "signs")
         if np.all(signs < 0):
             recording = recording.flipped()

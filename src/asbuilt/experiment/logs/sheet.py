@@ -73,6 +73,16 @@ class SheetColumns(_Part):
     command: ColumnList | None = None
     extra: dict[str, ColumnList] = Field(default_factory=dict)
 
+    @property
+    def numbered(self) -> bool:
+        """Whether positions are given, and all columns by number, so that names do not matter."""
+        listed = [self.position, self.velocity, self.acceleration, self.torque, self.command]
+        given = [each for each in (*listed, *self.extra.values()) if each is not None]
+        columns = [column for each in given for column in each]
+        return self.position is not None and all(
+            isinstance(column, int) for column in [*columns, *([self.time] if self.time else [])]
+        )
+
 
 class SheetUnits(_Part):
     """Units of the log, each converted to SI: "deg", "deg/s", "mN m", "ms", ..."""
@@ -122,7 +132,8 @@ class SheetFiles(_Part):
 class RecordingSheet(_Part):
     """Describe a log: every field is optional and overrides what the column names give.
 
-    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
+    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's;
+    "command" where it gives magnitudes, whose sign is that of the servo's control error),
     `gains` turn them into N m (amperes times N m/A); `position_sign` multiplies positions,
     velocities, accelerations and commands (-1 where the log's joint turns the other way than the
     description's); each is one number or one per joint. `zero`
@@ -146,7 +157,7 @@ class RecordingSheet(_Part):
     separator: Literal[",", ";", "\t", "|", " "] | None = None
     joints: list[str] | dict[str, str] | None = None
     torque_source: TorqueSource | None = None
-    sign: float | list[float] | None = None
+    sign: float | list[float] | Literal["command"] | None = None
     gains: float | list[float] | None = None
     position_sign: float | list[float] | None = None
     zero: FiniteNumber | list[FiniteNumber] | None = None
@@ -186,8 +197,8 @@ class RecordingSheet(_Part):
         return self
 
 
-def _listed(given: float | list[float] | None) -> list[float]:
-    if given is None:
+def _listed(given: float | list[float] | str | None) -> list[float]:
+    if given is None or isinstance(given, str):
         return []
     return given if isinstance(given, list) else [given]
 

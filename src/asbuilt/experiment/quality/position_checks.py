@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.band_choice import Band, choose_band
+from asbuilt.experiment.signal.noise.band_choice import POSITION_BANDWIDTHS, Band, choose_band
 from asbuilt.experiment.signal.noise.position_step import position_steps
 from asbuilt.experiment.signal.resampling import uniform_segments
 from asbuilt.findings import Cure, Finding
@@ -69,10 +69,11 @@ def position_findings(model: RobotModel, noise: PositionNoise | None) -> Iterato
     band = noise.band
     if band.noise is not None and band.cutoff < LIMITED * band.wanted:
         worst = band.noise.limiting_joint(band.wanted)
+        cuts_motion = band.cutoff < LIMITED * POSITION_BANDWIDTHS * band.bandwidth
         by_steps = f", whose positions change in {steps[worst]}" if steps[worst] else ""
         yield Finding(
             "band_limited_by_noise",
-            "warning" if steps[worst] else "info",
+            "warning" if steps[worst] and cuts_motion else "info",
             f"Noise of the positions, not the motion, limits the low-pass to {band.cutoff:.2g} Hz,"
             f" most of all that of {model.joint_names[worst]}{by_steps}; faster parts of the motion"
             " determine nothing",
