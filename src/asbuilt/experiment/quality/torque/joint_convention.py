@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.quality.first_pass import position_limits
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
 from asbuilt.findings import Cure, Finding, joined
@@ -156,9 +156,9 @@ def _joints_beyond(fit: TorqueFit) -> int:
     return int(np.count_nonzero(np.min(shares, axis=0) > THRESHOLDS.beyond))
 
 
-def _large(fit: TorqueFit) -> Array:
+def _large(fit: TorqueFit) -> Mask:
     predicted = fit.predicted
-    large: Array = predicted > THRESHOLDS.share * np.max(predicted)
+    large: Mask = predicted > THRESHOLDS.share * np.max(predicted)
     return large
 
 
@@ -166,13 +166,13 @@ def _doubtful(fit: TorqueFit) -> bool:
     return bool(np.any(np.abs(fit.correlation[_large(fit)]) < THRESHOLDS.doubtful))
 
 
-def _fallen(before: TorqueFit, after: TorqueFit) -> Array:
+def _fallen(before: TorqueFit, after: TorqueFit) -> Indices:
     """Return the joints (k,) whose misfit has fallen to less than half."""
     least = [np.minimum(each.misfit(1), each.misfit(-1)) for each in (before, after)]
     return np.flatnonzero(_large(after) & (least[1] < 0.5 * least[0]))
 
 
-def _mean_correlation(fit: TorqueFit, joints: Array) -> float:
+def _mean_correlation(fit: TorqueFit, joints: Indices) -> float:
     return float(np.mean(np.abs(fit.correlation[joints])))
 
 
