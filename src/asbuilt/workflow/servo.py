@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.defaults import usual_drive
-from asbuilt.dynamics.drives.position_servo import LIMITS, PositionServo
+from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
@@ -202,9 +202,13 @@ def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ..
     )
     late = f"{_shown(1e3 * (servo.delay or 0.0), 1e3 * errors.delay)} ms"
     goal = ""
+    if any(servo.deadband):
+        goal = f"; no torque within {_shown(1e3 * max(servo.deadband), 1e3 * errors.deadband)} mrad"
+    if any(servo.falling):
+        goal += "; torque limits that fall with the speed"
     if servo.limits_goal:
         limit = min(servo.goal_acceleration)
-        goal = f"; goal limited to {_shown(limit, errors.goal_acceleration)} rad/s^2"
+        goal += f"; goal limited to {_shown(limit, errors.goal_acceleration)} rad/s^2"
     return (
         "Torque of a position servo: clip(kp (command(t - delay) - q) - kd qd), the command held"
         f" until the next; kp [N m/rad] {gains}; delay {late}{goal}.",
@@ -246,6 +250,18 @@ def servo_findings(
             )
         )
     findings += _goal_findings(found)
+    if errors.deadband:
+        width, error = 1e3 * max(found.servo.deadband), 1e3 * errors.deadband
+        findings.append(
+            Finding(
+                "servo_deadband",
+                "info",
+                f"The servo gives no torque within {_shown(width, error)} mrad of its goal (mm for"
+                " a sliding joint), which time that was not fitted confirms; the fit and"
+                " simulations have this deadband",
+                Cure("give the deadband if it is known"),
+            )
+        )
     if found.unexplained:
         findings.append(_unexplained(found))
     findings += _current_findings(model, found)
@@ -343,7 +359,7 @@ def _servo(item: Recorded) -> PositionServo | None:
 def _alike(one: PositionServo, other: PositionServo) -> bool:
     return all(
         np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
-        for name in ("kp", "kd", *LIMITS)
+        for name in PER_JOINT
     )
 
 

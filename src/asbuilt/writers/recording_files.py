@@ -113,6 +113,10 @@ def _sheet_text(recording: Recording, log: str) -> str:
         sheet |= {"kp": _short(servo.kp), "kd": _short(servo.kd)}
         if np.all(np.isfinite(servo.torque_limit)):
             sheet["torque_limit"] = _short(servo.torque_limit)
+        if np.any(servo.deadband):
+            sheet["deadband"] = _short(servo.deadband)
+        if np.all(np.isfinite(servo.no_load_speed)):
+            sheet["no_load_speed"] = _short(servo.no_load_speed)
     return head + tomli_w.dumps(sheet)
 
 

@@ -47,7 +47,10 @@ def recorded_by_mujoco(
     seed: int = 0,
     noise: float = 0.0,
 ) -> Recording:
-    """Return a recording of MuJoCo's own position actuators, loaded from MJCF text."""
+    """Return a recording of MuJoCo's own position actuators, loaded from MJCF text.
+
+    Goals are moved by the deadband, and force ranges by the speed, before each step.
+    """
     actuators = "".join(
         f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kd}"'
         f' forcerange="{-limit} {limit}"/>'
@@ -73,7 +76,9 @@ def recorded_by_mujoco(
     for step in range(len(t) * every):
         if step % every == 0:
             q[step // every], qd[step // every] = data.qpos, data.qvel
-        data.ctrl[:] = u[max(step - late, 0) // every]
+        data.ctrl[:] = data.qpos + servo.acting(u[max(step - late, 0) // every] - data.qpos)
+        if np.any(servo.falling):
+            robot.actuator_forcerange[:] = np.stack(servo.bounds(data.qvel), axis=1)
         mujoco.mj_step(robot, data)
     measured = q + noise * np.random.default_rng(seed).standard_normal(q.shape)
     return Recording(

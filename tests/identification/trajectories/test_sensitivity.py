@@ -17,10 +17,13 @@ from asbuilt.identification.trajectories.windows import cut_windows
 pytest.importorskip("mujoco")
 
 
-def test_derivatives_by_all_parameters_are_those_of_differences() -> None:
+@pytest.mark.parametrize(
+    "law", [{}, {"deadband": (0.02, 0.01), "no_load_speed": (6.0, 9.0)}], ids=["pd", "beyond"]
+)
+def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
     model = servo_arm()
     recording = recorded_by_mujoco(model, SERVO, duration=2.0)
-    servo = replace(SERVO, torque_limit=(6.0, 2.0), delay=0.0061)
+    servo = replace(SERVO, torque_limit=(6.0, 2.0), delay=0.0061, **law)
     windows = cut_windows(recording, samples_of(recording), 0.3)
     robot = robot_as_described(model, servo)
     base = find_base_parameters(model, robot.drive)

@@ -80,6 +80,23 @@ def test_rollout_reproduces_position_actuators_of_mjcf(windows: Windows) -> None
     assert simulated == pytest.approx(windows.q, abs=2e-5)
 
 
+def test_rollout_has_the_deadband_and_the_limit_that_falls_with_speed() -> None:
+    servo = replace(SERVO, torque_limit=(8.0, 3.0), deadband=(0.02, 0.01), no_load_speed=(6.0, 9.0))
+    recording = recorded_by_mujoco(servo_arm(), servo, duration=4.0)
+    windows = cut_windows(recording, samples_of(recording), 0.5)
+    robot = robot_as_described(servo_arm(), servo)
+    assert simulate_windows(robot, windows) == pytest.approx(windows.q, abs=2e-5)
+    plain = robot_as_described(servo_arm(), SERVO)
+    assert np.abs(simulate_windows(plain, windows) - windows.q).max() > 5e-3
+    smooth = replace(robot, values=robot.values * [1.0, 1.0, 0.0])
+    base = find_base_parameters(smooth.model, smooth.drive)
+    own = Trajectories(smooth.model, base).simulate(smooth, windows, smooth.model.parameters)
+    assert np.any(own.state > 2.0), "the servo must be at its limit somewhere"
+    assert own.sampled(windows.divisions) == pytest.approx(
+        simulate_windows(smooth, windows), abs=1e-12
+    )
+
+
 def test_both_engines_agree_to_rounding_without_dry_friction(windows: Windows) -> None:
     robot = robot_as_described(servo_arm(), SERVO)
     robot = replace(robot, values=robot.values * [1.0, 1.0, 0.0])

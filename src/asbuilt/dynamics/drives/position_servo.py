@@ -14,8 +14,10 @@ from asbuilt.codec import stored
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 
-LIMITS = ("torque_limit", "goal_acceleration", "goal_speed")
+LIMITS = ("torque_limit", "no_load_speed", "goal_acceleration", "goal_speed")
 """Fields that are infinite where there is no limit."""
+PER_JOINT = ("kp", "kd", "deadband", *LIMITS)
+"""Fields with one number per joint."""
 
 
 def _limits(values: Sequence[float | None]) -> tuple[float, ...]:
@@ -27,8 +29,12 @@ def _limits(values: Sequence[float | None]) -> tuple[float, ...]:
 class PositionServo:
     """Hold the gains of proportional-derivative position control, joint by joint.
 
-    The torque on the link is `clip(kp (goal(t - delay) - q) - kd qd, -limit, limit)`. The goal is
+    The torque on the link is `clip(kp D(goal(t - delay) - q) - kd qd, -limit, limit)`. The goal is
     the command, or what `goal_path` makes of it if the servo limits the acceleration of its goal.
+    D(e) is `e - clip(e, -deadband, deadband)`. Under a limited voltage the limits fall with the
+    speed, `-limit (1 + qd / no_load_speed)` and `limit (1 - qd / no_load_speed)`; a servo without
+    damping of its own, whose duty cycle is `kp D(e) / limit`, has this law with
+    `kd = limit / no_load_speed`, the damping by the voltage that its motor induces.
 
     Parameters
     ----------
@@ -40,6 +46,12 @@ class PositionServo:
         Largest magnitude of the torque [N m or N], shape (n,); infinite where there is none.
     delay
         Time by which the torque follows the command [s]; None if unknown.
+    deadband
+        Control error up to which the servo gives no torque [rad or m], shape (n,); NaN where it is
+        unknown whether there is one.
+    no_load_speed
+        Speed at which the voltage that the motor induces leaves no torque [rad/s or m/s], shape
+        (n,); infinite where the torque limit does not fall with the speed.
     goal_acceleration
         Largest acceleration of the goal [rad/s^2 or m/s^2], shape (n,); infinite where there is no
         limit, NaN where it is unknown whether there is one.
@@ -51,7 +63,8 @@ class PositionServo:
     ------
     UsageError
         If lengths differ, or a value is negative or, for the delay, not finite, or a limit of the
-        goal is zero, or its speed is limited without an acceleration.
+        goal or the no-load speed is zero, or the goal's speed is limited without an acceleration,
+        or there is a no-load speed without a torque limit.
 
     Examples
     --------
@@ -64,14 +77,16 @@ class PositionServo:
     kd: tuple[float, ...]
     torque_limit: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     delay: float | None = None
+    deadband: tuple[float, ...] = ()
+    no_load_speed: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     goal_acceleration: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     goal_speed: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
 
     def __post_init__(self) -> None:
-        for name in ("kp", "kd", *LIMITS):
+        for name in PER_JOINT:
             values = tuple(float(value) for value in getattr(self, name))
-            if name in LIMITS and not values:
-                values = (np.inf,) * len(self.kp)
+            if not values and name not in ("kp", "kd"):
+                values = (np.inf if name in LIMITS else 0.0,) * len(self.kp)
             if len(values) != len(self.kp):
                 raise UsageError(
                     f"{name} has {len(values)} values for {len(self.kp)} joints",
@@ -82,9 +97,13 @@ class PositionServo:
                 raise UsageError(f"{name} must not be negative, got {min(values):g}", lower=0.0)
             if name.startswith("goal") and 0.0 in values:
                 raise UsageError(f"{name} must be positive: the goal would never move", lower=0.0)
+            if name == "no_load_speed" and 0.0 in values:
+                raise UsageError("no_load_speed must be positive", lower=0.0)
             object.__setattr__(self, name, values)
         if np.any(np.isfinite(self.goal_speed) & np.isinf(self.goal_acceleration)):
             raise UsageError("a limit of the speed of the goal needs one of its acceleration")
+        if np.any(np.isfinite(self.no_load_speed) & np.isinf(self.torque_limit)):
+            raise UsageError("a no-load speed needs a torque limit, which falls to zero there")
         if self.delay is not None and not np.isfinite(self.delay):
             raise UsageError(f"the delay must be a finite number of seconds, got {self.delay}")
 
@@ -105,23 +124,47 @@ class PositionServo:
         limit = np.asarray(self.goal_acceleration)
         return goal_path(t, command, np.where(np.isnan(limit), np.inf, limit), self.goal_speed)
 
+    @property
+    def proportional(self) -> bool:
+        """Whether the torque is linear in control error and velocity up to a constant limit."""
+        return not np.any(self._dead) and not np.any(np.isfinite(self.no_load_speed))
+
+    @property
+    def _dead(self) -> Array:
+        """Deadbands (n,), zero where unknown."""
+        return np.nan_to_num(np.asarray(self.deadband))
+
     def reordered(self, order: Sequence[int]) -> Self:
         """Return the servo of the joints at these positions."""
         return replace(
-            self,
-            kp=tuple(self.kp[k] for k in order),
-            kd=tuple(self.kd[k] for k in order),
-            torque_limit=tuple(self.torque_limit[k] for k in order),
-            goal_acceleration=tuple(self.goal_acceleration[k] for k in order),
-            goal_speed=tuple(self.goal_speed[k] for k in order),
+            self, **{name: tuple(getattr(self, name)[k] for k in order) for name in PER_JOINT}
         )
+
+    @property
+    def falling(self) -> Array:
+        """How much the torque limit falls per speed (n,) [N m s/rad or N s/m]."""
+        ratio = [
+            limit / speed if np.isfinite(speed) else 0.0
+            for limit, speed in zip(self.torque_limit, self.no_load_speed, strict=True)
+        ]
+        return np.array(ratio)
+
+    def acting(self, error: ArrayLike) -> Array:
+        """Return the part of control errors (..., n) beyond the deadband [rad or m]."""
+        error = np.asarray(error, dtype=np.float64)
+        return np.asarray(error - np.clip(error, -self._dead, self._dead))
+
+    def bounds(self, qd: ArrayLike) -> tuple[Array, Array]:
+        """Return the lowest and the highest torque at velocities (..., n), two (..., n)."""
+        limit = np.asarray(self.torque_limit)
+        falls = self.falling * np.asarray(qd, dtype=np.float64)
+        return -limit - falls, limit - falls
 
     def torque(self, command: ArrayLike, q: ArrayLike, qd: ArrayLike) -> Array:
         """Return the torque [N m or N] of a command that has arrived, shape (..., n)."""
         error = np.asarray(command, dtype=np.float64) - np.asarray(q, dtype=np.float64)
-        free = np.asarray(self.kp) * error - np.asarray(self.kd) * np.asarray(qd)
-        limit = np.asarray(self.torque_limit)
-        return np.asarray(np.clip(free, -limit, limit), dtype=np.float64)
+        free = np.asarray(self.kp) * self.acting(error) - np.asarray(self.kd) * np.asarray(qd)
+        return np.asarray(np.clip(free, *self.bounds(qd)), dtype=np.float64)
 
 
 def described_servo(model: RobotModel) -> PositionServo | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.arrays import Mask
+from asbuilt.experiment.command.servo_torque import logged_velocity
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 
@@ -17,7 +18,9 @@ def saturated(recording: Recording) -> Mask:
     if recording.servo is None:
         return np.zeros(recording.q.shape, dtype=np.bool_)
     limit = np.asarray(recording.servo.torque_limit)
-    return np.asarray(np.abs(recording.tau) >= SATURATED * limit)
+    slack = np.where(np.isfinite(limit), (1.0 - SATURATED) * limit, 0.0)
+    low, high = recording.servo.bounds(logged_velocity(recording))
+    return np.asarray((recording.tau >= high - slack) | (recording.tau <= low + slack))
 
 
 def outside_saturation(samples: Samples, recording: Recording) -> Samples:

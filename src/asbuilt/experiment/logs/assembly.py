@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.position_servo import LIMITS, PositionServo
+from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import signed_by_command
 from asbuilt.experiment.command.servo_torque import driven_by_command
@@ -130,7 +130,7 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     return recording
 
 
-UNLIMITED = ("torque_limit", "goal_speed")
+UNLIMITED = ("torque_limit", "no_load_speed", "goal_speed")
 """Limits of a servo that are taken to be absent unless they are stated."""
 
 
@@ -189,23 +189,18 @@ def stated_servo(
     """
     given = {
         name: getattr(sheet if getattr(options, name) is None else options, name)
-        for name in ("kp", "kd", *LIMITS)
+        for name in PER_JOINT
     }
     commanded = sheet.columns.command is not None or any(
         each is not None for each in given.values()
     )
     if sheet.columns.torque is not None and not commanded:
         return None
-    kp, kd, torque_limit, acceleration, speed = (
-        _per_joint(recording, name, each, np.inf if name in UNLIMITED else np.nan)
-        for name, each in given.items()
-    )
     return PositionServo(
-        kp=kp,
-        kd=kd,
-        torque_limit=torque_limit,
-        goal_acceleration=acceleration,
-        goal_speed=speed,
+        **{
+            name: _per_joint(recording, name, each, np.inf if name in UNLIMITED else np.nan)
+            for name, each in given.items()
+        }
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.description.locking import locks_from_text
 from asbuilt.description.model import USUAL_GRAVITY
-from asbuilt.dynamics.drives.position_servo import LIMITS
+from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
@@ -64,6 +64,12 @@ class ReadingOptions:
         unknown; they replace the sheet's, and make torques of commands.
     torque_limit
         Largest torque of the position servo [N m], one for all joints or one each; NaN: none.
+    deadband
+        Control error up to which the position servo gives no torque [rad], one for all joints or one
+        each; NaN: unknown, so that it is sought in the log.
+    no_load_speed
+        Speed at which the torque limit of the position servo has fallen to zero [rad/s], one for all
+        joints or one each; NaN: it does not fall.
     goal_acceleration, goal_speed
         Limits of the goal that the position servo derives from its command [rad/s^2, rad/s], one
         for all joints or one each; infinite: none, NaN: unknown, so that a limit of the
@@ -159,6 +165,24 @@ class ReadingOptions:
             "parse": servo_numbers,
         },
     )
+    deadband: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "control error without torque [rad], one or each; auto (default): sought in the"
+            " log",
+            "metavar": "E1,E2,...",
+            "parse": servo_numbers,
+        },
+    )
+    no_load_speed: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "speed at which the servo's torque limit has fallen to zero [rad/s], one or"
+            " each",
+            "metavar": "W1,W2,...",
+            "parse": servo_numbers,
+        },
+    )
     goal_acceleration: ArrayLike | None = field(
         default=None,
         metadata={
@@ -194,7 +218,7 @@ class ReadingOptions:
                 value=self.torque_source,
                 available=TORQUE_SOURCES,
             )
-        for name in ("kp", "kd", *LIMITS):
+        for name in PER_JOINT:
             if getattr(self, name) is not None:
                 values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64)).ravel()
                 unlimited = np.isinf(values) & (name in LIMITS)

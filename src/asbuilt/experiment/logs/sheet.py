@@ -165,6 +165,8 @@ class RecordingSheet(_Part):
     kp: ServoNumbers = None
     kd: ServoNumbers = None
     torque_limit: ServoNumbers = None
+    no_load_speed: ServoNumbers = None
+    deadband: ServoNumbers = None
     goal_acceleration: GoalNumbers = None
     goal_speed: GoalNumbers = None
     columns: SheetColumns = SheetColumns()

@@ -30,6 +30,8 @@ class ServoErrors:
         given or not found in every recording.
     goal_sought
         Whether the limit of each joint was sought in the recordings.
+    deadband
+        Standard error of the deadband [rad or m], 0 where it was given or none was found.
     shared
         Whether one stiffness was fitted to all joints.
     scale
@@ -42,6 +44,7 @@ class ServoErrors:
     delay: float = 0.0
     goal_acceleration: float = 0.0
     goal_sought: tuple[bool, ...] = ()
+    deadband: float = 0.0
     shared: bool = False
     scale: tuple[str, ...] = ()
     kd_unknown: tuple[bool, ...] = ()

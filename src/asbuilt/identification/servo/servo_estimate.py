@@ -18,6 +18,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification.servo.deadband import Deadband, find_deadband, with_deadband
 from asbuilt.identification.servo.goal_limit import GoalLimit, find_goal_limit, limited
 from asbuilt.identification.servo.servo_delay import fit_delay
 from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
@@ -125,6 +126,13 @@ def estimate_servo(
         replace(each, servo=limited(first, np.inf if goal is None else goal.acceleration))
         for each, goal in zip(recordings, goals, strict=True)
     ]
+    dead = _deadband(model, base, recordings, chain, late, holdout)
+    first = with_deadband(first, 0.0 if dead is None else dead.width)
+    recordings = [
+        replace(each, servo=with_deadband(each.servo, 0.0 if dead is None else dead.width))
+        for each in recordings
+        if each.servo is not None
+    ]
     for _ in range(ITERATIONS.most):
         rows = servo_rows(model, base, recordings, chain, late, holdout)
         kp, scale = _gains(rows, base, links, first, unknown, shared)
@@ -147,6 +155,7 @@ def estimate_servo(
             kp=tuple(errors.tolist()),
             delay=error,
             goal_acceleration=_common_error(goals),
+            deadband=0.0 if dead is None else dead.std_error,
             goal_sought=tuple(bool(each) for each in np.isnan(np.array(first.goal_acceleration))),
             shared=scale is not None and scale.shared,
             scale=tuple(
@@ -166,6 +175,32 @@ def estimate_servo(
         DelaySlopes.of(rows, base, (found.excess <= UNEXPLAINED).tolist()),
         logged_magnitude_laws(recordings),
     )
+
+
+def _deadband(
+    model: RobotModel,
+    base: BaseParameters,
+    recordings: Sequence[Recording],
+    chain: SignalChain,
+    late: float,
+    holdout: str | None,
+) -> Deadband | None:
+    """Return the deadband that the recordings show; None if it is known, or they show none."""
+    servo = recordings[0].servo
+    unknown = np.isnan(np.array(() if servo is None else servo.deadband))
+    if not np.any(unknown):
+        return None
+    slow = [slow_channels(each, chain, late) for each in recordings]
+
+    def rows(width: float) -> ServoRows:
+        driven = [
+            replace(each, servo=with_deadband(each.servo, width))
+            for each in recordings
+            if each.servo is not None
+        ]
+        return servo_rows(model, base, driven, chain, late, holdout, slow)
+
+    return find_deadband(rows, unknown)
 
 
 def _common(goals: Sequence[GoalLimit | None]) -> float:

@@ -109,6 +109,8 @@ def slow_channels(recording: Recording, chain: SignalChain, delay: float) -> lis
 def _control_error(recording: Recording, chain: SignalChain, delay: float) -> Samples:
     """Return samples whose torques are the control error."""
     error = held_command(recording, delay) - recording.q
+    if recording.servo is not None:
+        error = recording.servo.acting(error)
     found = _with_signal(recording, chain, error)
     return moving_faster(found, recording, chain.cutoff or np.inf)
 

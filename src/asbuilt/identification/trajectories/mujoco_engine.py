@@ -66,7 +66,10 @@ class _Engine:
         self.others = robot.drive.without(*AT_JOINTS, *AT_MOTORS)
         self.other_values = _values_of(robot, self.others)
         self.friction = plain["coulomb"]
-        self.native = not np.any(self.other_values) and not np.any(self.friction < 0.0)
+        self.proportional = robot.servo is None or robot.servo.proportional
+        self.native = (
+            self.proportional and not np.any(self.other_values) and not np.any(self.friction < 0.0)
+        )
 
         def extend(spec: Any) -> None:
             for k in np.flatnonzero(np.any(robot.model.motor_shares, axis=1)):
@@ -127,12 +130,23 @@ class _Engine:
                     continue
                 self.compiled.dof_frictionloss[self.order] = dry[w]
                 run.ctrl[:] = forces[w, step, :n_controls]
+                if not self.proportional:
+                    run.ctrl[:] = self._servo_beyond(run.ctrl, q[w], qd[w])
                 run.qfrc_applied[:] = forces[w, step, n_controls:]
                 run.qfrc_applied[self.order] -= added[w]
                 self.mujoco.mj_step(self.compiled, run)
                 q[w], qd[w], qdd[w] = (x[self.order] for x in (run.qpos, run.qvel, run.qacc))
                 positions[w, step], velocities[w, step] = q[w], qd[w]
         return positions, velocities
+
+    def _servo_beyond(self, goal: Array, q: Array, qd: Array) -> Array:
+        """Set torque limits at a speed, and return the goals (n,) outside the deadband."""
+        servo = self.robot.servo
+        if servo is None:
+            return goal
+        low, high = servo.bounds(qd)
+        self.compiled.actuator_forcerange[:] = np.stack([low, high], axis=1)
+        return q + servo.acting(goal - q)
 
     def _forces(self, inputs: Array) -> Array:
         """Return controls and generalised forces of every step."""

@@ -121,6 +121,7 @@ class Trajectories:
             numbers,
             *_matrices(robot),
             *robot.stiffness,
+            *robot.deviations,
             windows.signal.kind == "command",
             np.ascontiguousarray(windows.inputs(robot.delay)),
             windows.step,
@@ -168,6 +169,7 @@ class Trajectories:
         drive = _drive_rows(robot, q, v, after, a, sign)
         rotors, damping = _matrices(robot)
         kp, kd, _ = robot.stiffness
+        dead, falling = robot.deviations
         servo = windows.signal.kind == "command"
         inputs = windows.inputs(robot.delay).reshape(-1, n)
         late = (
@@ -176,6 +178,10 @@ class Trajectories:
             else np.zeros(shape)
         ).reshape(-1, n)
         free = (motion.state < 2.0).reshape(-1, n)
+        error = inputs - q
+        acting = error - np.clip(error, -dead, dead)
+        stiffness = servo * kp * free * ((acting != 0.0) | (dead == 0.0))
+        slope = servo * np.where(free, kd, falling)
         links_in_base = np.flatnonzero(self.base.columns < 10 * n)
         for branch in self.branches:
             columns = np.zeros((len(q), len(branch.joints), len(branch.parameters)))
@@ -188,9 +194,9 @@ class Trajectories:
                     columns[:, i, place[number]] = drive[k][c]
                 if servo:
                     p = self.base.n_base
-                    columns[:, i, place[p + k]] = -(inputs[:, k] - q[:, k]) * free[:, k]
+                    columns[:, i, place[p + k]] = -acting[:, k] * free[:, k]
                     columns[:, i, place[p + n + k]] = after[:, k] * free[:, k]
-                    columns[:, i, place[p + 2 * n]] = -kp[k] * late[:, k] * free[:, k]
+                    columns[:, i, place[p + 2 * n]] = -stiffness[:, k] * late[:, k]
             every = windows.divisions
             out = np.empty((shape[0], shape[1] // every, *columns.shape[1:]))
             four = (*shape[:2], n, n)
@@ -201,8 +207,8 @@ class Trajectories:
                 mass.reshape(four),
                 rotors,
                 damping,
-                kp if servo else np.zeros(n),
-                kd if servo else np.zeros(n),
+                stiffness.reshape(shape),
+                slope.reshape(shape),
                 motion.state,
                 columns.reshape(*shape[:2], *columns.shape[1:]),
                 windows.step,

@@ -46,6 +46,13 @@ class SimulatedRobot:
         return kp, kd, np.array(self.servo.torque_limit)
 
     @property
+    def deviations(self) -> tuple[Array, Array]:
+        """Deadband of the servo, and how much its torque limit falls per speed, two (n,)."""
+        if self.servo is None:
+            return np.zeros(self.model.n_joints), np.zeros(self.model.n_joints)
+        return np.nan_to_num(np.array(self.servo.deadband)), self.servo.falling
+
+    @property
     def delay(self) -> float:
         """Delay of the servo [s]."""
         return (self.servo.delay or 0.0) if self.servo is not None else 0.0

@@ -113,13 +113,30 @@ def _rubbed(L, h, odd, friction, v, W, column, n):
 
 @compiled
 def simulate(
-    codes, program, numbers, rotors, damping, kp, kd, limit, by_command, inputs, h, q, v, a, state
+    codes,
+    program,
+    numbers,
+    rotors,
+    damping,
+    kp,
+    kd,
+    limit,
+    dead,
+    falling,
+    by_command,
+    inputs,
+    h,
+    q,
+    v,
+    a,
+    state,
 ):
     """Simulate windows; `q[w, 0]` and `v[w, 0]` are their initial states.
 
     `inputs` (W, S, n), `q` and `v` (W, S + 1, n), `a` (W, S, n); `state` (W, S, n) becomes 1 and
     -1 for joints that dry friction brakes, 0 for those that it holds; 4 is added for those at the
-    torque limit of the servo. `rotors` and `damping` are (n, n).
+    torque limit of the servo. `rotors` and `damping` are (n, n). `dead` and `falling` (n,) are
+    the deadband and how much the limit falls per speed.
     """
     n, windows, steps = kp.size, inputs.shape[0], inputs.shape[1]
     bias, even, odd, zero = np.empty(n), np.empty(n), np.empty(n), np.zeros(n)
@@ -145,10 +162,16 @@ def simulate(
                 full[k] = False
                 tau[k] = inputs[w, s, k]
                 if by_command:
-                    tau[k] = kp[k] * (inputs[w, s, k] - position[k]) - kd[k] * rate[k]
-                    if abs(tau[k]) > limit[k]:
+                    error = inputs[w, s, k] - position[k]
+                    error -= min(max(error, -dead[k]), dead[k])
+                    fall = falling[k] * rate[k]
+                    tau[k] = kp[k] * error - kd[k] * rate[k]
+                    if tau[k] > limit[k] - fall:
                         full[k] = True
-                        tau[k] = limit[k] if tau[k] > 0.0 else -limit[k]
+                        tau[k] = limit[k] - fall
+                    elif tau[k] < -limit[k] - fall:
+                        full[k] = True
+                        tau[k] = -limit[k] - fall
                 free[k] = tau[k] - bias[k] - even[k]
             for k in range(n):
                 for j in range(n):
@@ -179,7 +202,19 @@ def simulate(
 
 @compiled
 def sensitivities(
-    joints, by_position, by_velocity, masses, rotors, damping, kp, kd, state, columns, h, every, out
+    joints,
+    by_position,
+    by_velocity,
+    masses,
+    rotors,
+    damping,
+    stiffness,
+    slope,
+    state,
+    columns,
+    h,
+    every,
+    out,
 ):
     """Write how the positions of a branch at the samples depend on its parameters.
 
@@ -190,6 +225,9 @@ def sensitivities(
     by_position, by_velocity, masses
         Derivatives of the torques by state and acceleration, drives and servo left out, shapes
         (W, S, n, n).
+    stiffness, slope
+        Derivatives of the servo's torque by position and velocity, with opposite signs, shapes
+        (W, S, n).
     state
         Of `simulate`.
     columns
@@ -220,15 +258,15 @@ def sensitivities(
                 for j in range(m):
                     r = joints[j]
                     G, C = by_position[w, s, k, r], by_velocity[w, s, k, r] + damping[k, r]
-                    if i == j and not bounded:
-                        G, C = G + kp[k], C + kd[k]
+                    if i == j:
+                        G, C = G + stiffness[w, s, k], C + slope[w, s, k]
                     for c in range(p):
                         right[x, c] -= G * dq[j, c] + C * dv[j, c]
                 for y in range(moving):
                     r = joints[place[y]]
                     A[x, y] = masses[w, s, k, r] + rotors[k, r] + h * damping[k, r]
                 if not bounded:
-                    A[x, x] += h * kd[k]
+                    A[x, x] += h * slope[w, s, k]
             # a joint that comes to rest loses its change of velocity to friction
             for i in range(m):
                 k = joints[i]

@@ -32,6 +32,7 @@ from asbuilt.writers.models.c.observer_files import write_observer
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.physical import refuse_inconsistent_result, refuse_poor_nearest_model
 from asbuilt.writers.models.robot_toml import write_robot_toml
+from asbuilt.writers.models.servo_notes import servo_left_out
 from asbuilt.writers.models.simulators.simulator_format import ExportedDrives, simulator_format
 from asbuilt.writers.models.urdf import write_urdf
 
@@ -251,23 +252,10 @@ def urdf_to_edit(
 
 def delay_notes(result: IdentificationResult, kind: Literal["mjcf", "urdf"]) -> tuple[str, ...]:
     """Return what a model file cannot hold of the servo of a result."""
-    servo = result.servo
-    if servo is None:
+    if result.servo is None:
         return ()
-    notes = []
-    if servo.delay:
-        notes.append(
-            f"{kind.upper()} has no place for the delay of the servo: give the simulator each"
-            f" command {1e3 * servo.delay:.3g} ms later"
-        )
-    if servo.limits_goal:
-        notes.append(
-            f"{kind.upper()} has no place for the limit of the goal's acceleration,"
-            f" {min(servo.goal_acceleration):.4g} rad/s^2: pass commands through it"
-        )
-    if kind == "urdf":
-        notes.append("URDF has no place for the gains of the servo")
-    return tuple(notes)
+    gains = ("URDF has no place for the gains of the servo",) if kind == "urdf" else ()
+    return (*servo_left_out(result.servo, kind.upper()), *gains)
 
 
 def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ import json
 import re
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import fromstring
@@ -75,6 +76,27 @@ def test_isaac_lab_gets_a_delayed_actuator(result: IdentificationResult, written
     assert list(group["effort_limit"].values()) == [20.0, 20.0]
     assert list(group["viscous_friction"].values()) == friction(result)["Fv"]
     assert list(group["dynamic_friction"].values()) == friction(result)["Fc"]
+
+
+def test_what_a_servo_has_beyond_proportional_control_is_held_or_said(
+    result: IdentificationResult, tmp_path: Path
+) -> None:
+    assert result.servo is not None
+    servo = replace(result.servo, deadband=(0.01, 0.01), no_load_speed=(5.0, 6.0))
+    richer = replace(result, servo=servo)
+    places = {key: tmp_path / f"{key}.xml" for key in SIMULATOR_FORMATS}
+    export = export_result(richer, mjcf=tmp_path / "robot.xml", simulators=places)
+    space = run_with(
+        export.files["isaac-lab"].read_text(), {"isaaclab.actuators": {"DCMotorCfg": dict}}
+    )
+    (group,) = space["actuators"](0.002).values()
+    assert group["saturation_effort"] == servo.torque_limit[0]
+    assert list(group["velocity_limit"].values()) == [5.0, 6.0]
+    for key in ("mjcf", *SIMULATOR_FORMATS):
+        said = " ".join(export.notes[key])
+        assert "deadband" in said
+        assert ("fall to zero" in said) == (key != "isaac-lab")
+    assert "delay" in " ".join(export.notes["isaac-lab"])
 
 
 def test_usd_has_angular_coefficients_per_degree(

@@ -15,6 +15,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.registry import Registry
 from asbuilt.writers.models.physical import in_plain_friction, left_out_drives
+from asbuilt.writers.models.servo_notes import servo_left_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,7 @@ class ExportedDrives:
         offset: bool = False,
         delay: bool = False,
         gains: bool = True,
+        falling: bool = False,
     ) -> tuple[str, ...]:
         """Return notes on what a format cannot hold, apart from what it is said to hold."""
         notes = list(left_out_drives(self.plain, carried, kind))
@@ -72,15 +74,7 @@ class ExportedDrives:
         if not offset and any(offsets.values()):
             said = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
             notes.append(f"{kind} has no place for the offsets of the drives [N m or N]: {said}")
-        if not delay and self.delay:
-            notes.append(
-                f"{kind} has no place for the delay of the servo, {1e3 * self.delay:.3g} ms"
-            )
-        if self.servo is not None and self.servo.limits_goal:
-            notes.append(
-                f"{kind} has no place for the limit of the goal's acceleration,"
-                f" {min(self.servo.goal_acceleration):.4g} rad/s^2"
-            )
+        notes += servo_left_out(self.servo, kind, delay=delay, falling=falling)
         if gains and not self.has_gains:
             notes.append(
                 "no position servo was identified: gains are zero, and commands are torques"

@@ -44,10 +44,17 @@ def actuators(physics_step):
 DELAYED = """
             min_delay=round(DELAY / physics_step),
             max_delay=round(DELAY / physics_step),"""
+MOTOR = """
+            saturation_effort={effort!r},
+            velocity_limit={speeds},"""
 
 
 class IsaacLab(SimulatorFormat):
-    """Python text with one actuator group; with a delay, an explicit delayed PD actuator."""
+    """Python text with one actuator group.
+
+    With a delay it is an explicit delayed PD actuator, with torque limits that fall with the speed
+    a DC motor.
+    """
 
     key = "isaac-lab"
     title = "Isaac Lab actuator configuration (Python)"
@@ -70,18 +77,38 @@ class IsaacLab(SimulatorFormat):
                 "N m s/rad or N s/m",
             ),
         }
+        kind, more = _actuator(drives)
         text = HEAD.format(
             origin=drives.origin,
-            kind="DelayedPDActuatorCfg" if drives.delay else "ImplicitActuatorCfg",
-            limit="effort_limit" if drives.delay else "effort_limit_sim",
+            kind=kind,
+            limit="effort_limit_sim" if kind == "ImplicitActuatorCfg" else "effort_limit",
             tables="".join(_table(name, *each) for name, each in tables.items()),
             delay=drives.delay,
-            more=DELAYED if drives.delay else "",
+            more=more,
         )
-        notes = drives.left_out("an Isaac Lab actuator", delay=True)
-        if drives.delay:
+        delayed = kind == "DelayedPDActuatorCfg"
+        notes = drives.left_out(
+            "an Isaac Lab actuator", delay=delayed, falling=kind == "DCMotorCfg"
+        )
+        if delayed:
             notes = (*notes, "the delay is rounded to whole physics steps")
         return text, notes
+
+
+def _actuator(drives: ExportedDrives) -> tuple[str, str]:
+    """Return the class of the actuator, and further settings of it.
+
+    `DCMotorCfg` has one torque for all joints, which falls to zero at the velocity limit, and no
+    delay.
+    """
+    servo = drives.servo
+    if servo is not None and np.all(servo.falling) and len(set(servo.torque_limit)) == 1:
+        speeds = dict(zip(drives.model.joint_names, servo.no_load_speed, strict=True))
+        listed = ", ".join(f"{re.escape(name)!r}: {each!r}" for name, each in speeds.items())
+        return "DCMotorCfg", MOTOR.format(effort=servo.torque_limit[0], speeds=f"{{{listed}}}")
+    if drives.delay:
+        return "DelayedPDActuatorCfg", DELAYED
+    return "ImplicitActuatorCfg", ""
 
 
 def _table(name: str, values: dict[str, float], unit: str) -> str:

@@ -1,0 +1,41 @@
+"""What model files and simulators cannot hold of a position servo."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.dynamics.drives.position_servo import PositionServo
+
+
+def servo_left_out(
+    servo: PositionServo | None, kind: str, *, delay: bool = False, falling: bool = False
+) -> tuple[str, ...]:
+    """Return notes on what a format of this name lacks of a servo.
+
+    `delay` and `falling` say whether it holds the delay, and torque limits that fall with speed.
+    """
+    if servo is None:
+        return ()
+    lacks = f"{kind} has no place for"
+    notes = []
+    if not delay and servo.delay:
+        notes.append(
+            f"{lacks} the delay of the servo: give the simulator each command"
+            f" {1e3 * servo.delay:.3g} ms later"
+        )
+    if servo.limits_goal:
+        notes.append(
+            f"{lacks} the limit of the goal's acceleration, {min(servo.goal_acceleration):.4g}"
+            " rad/s^2: pass commands through it"
+        )
+    if np.any(servo.deadband):
+        notes.append(
+            f"{lacks} the deadband of the servo, {max(servo.deadband):.4g} rad or m: give each"
+            " command as the position plus what of the control error is beyond it"
+        )
+    if not falling and np.any(servo.falling):
+        notes.append(
+            f"{lacks} torque limits that fall to zero at {min(servo.no_load_speed):.4g} rad/s or"
+            " m/s: it has the limits of a joint at rest"
+        )
+    return tuple(notes)
