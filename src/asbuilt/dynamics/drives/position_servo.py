@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,7 +127,7 @@ class PositionServo:
     @property
     def proportional(self) -> bool:
         """Whether the torque is linear in control error and velocity up to a constant limit."""
-        return not np.any(self._dead) and not np.any(np.isfinite(self.no_load_speed))
+        return not (np.any(self._dead) or np.any(np.isfinite(self.no_load_speed)))
 
     @property
     def _dead(self) -> Array:
@@ -136,9 +136,10 @@ class PositionServo:
 
     def reordered(self, order: Sequence[int]) -> Self:
         """Return the servo of the joints at these positions."""
-        return replace(
-            self, **{name: tuple(getattr(self, name)[k] for k in order) for name in PER_JOINT}
-        )
+        own: dict[str, Any] = {
+            name: tuple(getattr(self, name)[k] for k in order) for name in PER_JOINT
+        }
+        return replace(self, **own)
 
     @property
     def falling(self) -> Array:

@@ -196,12 +196,11 @@ def stated_servo(
     )
     if sheet.columns.torque is not None and not commanded:
         return None
-    return PositionServo(
-        **{
-            name: _per_joint(recording, name, each, np.inf if name in UNLIMITED else np.nan)
-            for name, each in given.items()
-        }
-    )
+    numbers: dict[str, Any] = {
+        name: _per_joint(recording, name, each, np.inf if name in UNLIMITED else np.nan)
+        for name, each in given.items()
+    }
+    return PositionServo(**numbers)
 
 
 def _per_joint(recording: Recording, name: str, given: Any, unknown: float) -> tuple[float, ...]:

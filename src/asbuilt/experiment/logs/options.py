@@ -65,11 +65,11 @@ class ReadingOptions:
     torque_limit
         Largest torque of the position servo [N m], one for all joints or one each; NaN: none.
     deadband
-        Control error up to which the position servo gives no torque [rad], one for all joints or one
-        each; NaN: unknown, so that it is sought in the log.
+        Control error up to which the position servo gives no torque [rad], one for all joints or
+        one each; NaN: unknown, so that it is sought in the log.
     no_load_speed
-        Speed at which the torque limit of the position servo has fallen to zero [rad/s], one for all
-        joints or one each; NaN: it does not fall.
+        Speed at which the torque limit of the position servo has fallen to zero [rad/s], one for
+        all joints or one each; NaN: it does not fall.
     goal_acceleration, goal_speed
         Limits of the goal that the position servo derives from its command [rad/s^2, rad/s], one
         for all joints or one each; infinite: none, NaN: unknown, so that a limit of the
