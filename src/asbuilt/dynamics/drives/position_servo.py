@@ -127,7 +127,7 @@ class PositionServo:
     @property
     def proportional(self) -> bool:
         """Whether the torque is linear in control error and velocity up to a constant limit."""
-        return not (np.any(self._dead) or np.any(np.isfinite(self.no_load_speed)))
+        return not bool(np.any(self._dead) or np.any(np.isfinite(self.no_load_speed)))
 
     @property
     def _dead(self) -> Array:

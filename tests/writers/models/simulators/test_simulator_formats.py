@@ -82,7 +82,9 @@ def test_what_a_servo_has_beyond_proportional_control_is_held_or_said(
     result: IdentificationResult, tmp_path: Path
 ) -> None:
     assert result.servo is not None
-    servo = replace(result.servo, deadband=(0.01, 0.01), no_load_speed=(5.0, 6.0))
+    servo = replace(
+        result.servo, torque_limit=(20.0,) * 2, deadband=(0.01,) * 2, no_load_speed=(5.0, 6.0)
+    )
     richer = replace(result, servo=servo)
     places = {key: tmp_path / f"{key}.xml" for key in SIMULATOR_FORMATS}
     export = export_result(richer, mjcf=tmp_path / "robot.xml", simulators=places)
