@@ -132,7 +132,7 @@ class PositionServo:
     @property
     def _dead(self) -> Array:
         """Deadbands (n,), zero where unknown."""
-        return np.nan_to_num(np.asarray(self.deadband))
+        return np.asarray(np.nan_to_num(self.deadband), dtype=np.float64)
 
     def reordered(self, order: Sequence[int]) -> Self:
         """Return the servo of the joints at these positions."""
