@@ -208,6 +208,8 @@ def _common(goals: Sequence[GoalLimit | None]) -> float:
     found = [goal for goal in goals if goal is not None]
     if not found or len(found) < len(goals):
         return np.inf
+    if len(found) == 1:
+        return found[0].acceleration
     weight = np.array([1.0 / goal.std_error**2 for goal in found])
     return float(np.average([goal.acceleration for goal in found], weights=weight))
 
