@@ -1,8 +1,9 @@
-"""A motion that is repeated shows the noise again, but no more of what the model lacks."""
+"""Blocks that follow each other, or are of like motion, share errors of noise and of the model."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import fftconvolve, lfilter
 
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
@@ -11,10 +12,13 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.common_growth import repetitions
-from asbuilt.identification.errors.uncertainty import block_scores, block_uncertainty
+from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.information.held_out import different_motions
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    accumulate,
+)
 
 MODEL = load_robot("scara")
 BASE = find_base_parameters(MODEL, DriveSet.parse("viscous,offset"))
@@ -23,14 +27,13 @@ RATE = 50.0
 MOTION = random_fourier(MODEL, rng=5, duration=120.0, n_harmonics=12)
 T = np.arange(0.0, 120.0, 1.0 / RATE)
 Q, QD, QDD = MOTION.at(T)
-TORQUE = (
-    observation_matrix(MODEL, Q, QD, QDD, drive=BASE.drive, columns=BASE.columns) @ BETA
-).reshape(Q.shape)
+W = observation_matrix(MODEL, Q, QD, QDD, drive=BASE.drive, columns=BASE.columns)
+TORQUE = (W @ BETA).reshape(Q.shape)
 
 
-def fitted(errors: list[Array]) -> tuple[Array, Array, set[tuple[int, int]]]:
-    """Return estimates, standard errors and repeated blocks of the motion, once for each error."""
-    information = [
+def merged(errors: list[Array]) -> SquareRootInformation:
+    """Return the information of the motion, recorded once for each error."""
+    first, *others = [
         accumulate(
             MODEL,
             BASE,
@@ -39,23 +42,49 @@ def fitted(errors: list[Array]) -> tuple[Array, Array, set[tuple[int, int]]]:
         )
         for error in errors
     ]
-    merged = information[0].merge(*information[1:])
-    estimate = fit_least_squares(merged, weights=np.ones(MODEL.n_joints))
-    grams, _ = block_scores(merged, estimate)
-    return estimate.beta, block_uncertainty(merged, estimate).std_errors, repetitions(merged, grams)
+    return first.merge(*others)
 
 
-def test_repeated_blocks_are_those_of_the_same_motion() -> None:
+def fitted(errors: list[Array]) -> tuple[Array, Array]:
+    """Return estimates and standard errors."""
+    information = merged(errors)
+    estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
+    return estimate.beta, block_uncertainty(information, estimate).std_errors
+
+
+def test_repeated_blocks_are_of_like_motion() -> None:
     noise = np.random.default_rng(0)
-    assert not fitted([noise.normal(size=Q.shape)])[2]
-    found = fitted([noise.normal(size=Q.shape) for _ in range(2)])[2]
-    assert found == {(b, b + 30) for b in range(30)}
+    information = merged([noise.normal(size=Q.shape) for _ in range(2)])
+    for group in different_motions(information, np.ones(MODEL.n_joints)):
+        assert {(b + 30) % 60 for b in group.tolist()} == set(group.tolist())
+
+
+def test_variances_under_lasting_noise_are_those_of_dense_matrices() -> None:
+    lasting = 1.0
+    forget = np.exp(-1.0 / (RATE * lasting))
+    columns = W.reshape(len(T), MODEL.n_joints, BASE.n_base)
+    correlation = (forget ** np.abs(np.arange(1 - len(T), len(T))))[:, None, None]
+    spread = fftconvolve(columns, correlation, axes=0)[len(T) - 1 : 2 * len(T) - 1]
+    own = np.linalg.inv(W.T @ W)
+    exact = np.diag(own @ np.einsum("tki,tkj->ij", columns, spread) @ own)
+    ratios = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        white = rng.normal(size=(len(T) + 1000, MODEL.n_joints))
+        noise = lfilter([np.sqrt(1.0 - forget**2)], [1.0, -forget], white, axis=0)[1000:]
+        information = merged([noise])
+        estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
+        scatter = block_uncertainty(information, estimate).scatter
+        assert scatter is not None
+        ratios.append(np.sum(scatter.moves**2, axis=0) / exact)
+    print("RATIO", np.mean(ratios), np.mean(ratios,axis=0).round(2))
+    assert 0.9 < float(np.mean(ratios)) < 1.1
 
 
 def test_an_error_of_the_model_is_no_smaller_after_a_second_recording() -> None:
     lacking = np.sign(np.sin(3.0 * QD)) + np.cos(5.0 * Q)
-    _, once, _ = fitted([lacking])
-    _, twice, _ = fitted([lacking, lacking])
+    _, once = fitted([lacking])
+    _, twice = fitted([lacking, lacking])
     assert 0.85 < float(np.median(twice / once)) < 1.2
 
 
@@ -64,8 +93,8 @@ def test_intervals_of_a_repeated_motion_keep_their_level_and_have_less_variance(
     for seed in range(40):
         rng = np.random.default_rng(seed)
         noise = [rng.normal(size=Q.shape) for _ in range(3)]
-        _, once, _ = fitted(noise[:1])
-        beta, thrice, _ = fitted(noise)
+        _, once = fitted(noise[:1])
+        beta, thrice = fitted(noise)
         held.append(np.abs(beta - BETA) < 1.96 * thrice)
         ratio.append(thrice / once)
     assert 0.93 < float(np.mean(held)) < 0.985

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.identification.information.estimate import Estimate
+from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 LIKE = 0.1
@@ -31,27 +33,32 @@ def common_growth(
     estimate: Estimate,
     moves: Array,
     grams: Array,
+    absorbed: Array,
     leverage: float,
     freedom: float,
 ) -> CommonGrowth:
     """Return the factor by which block variances are too small, for three reasons.
 
-    Successive blocks are correlated: `1 + 2 rho`. Blocks that repeat a motion share what the model
-    lacks there, so that K pairs of B blocks add `2 K / B` times their correlation, as neighbours in
-    space do (Conley, J. Econometrics 92, 1999): a motion recorded twice shows the noise twice, but
-    the error of the model once. And a fit absorbs more of correlated residuals: N
-    rows with design effect D (samples per independent sample) are worth N / D, so a fit of p
-    parameters leaves 1 - p D / N of their energy, where CR2 allows for 1 - p / N. D follows from
-    that of the moves, `D (1 - p D / N) = D_moves (1 - p / N)`.
+    Successive blocks are correlated, since noise lasts. Blocks that repeat a motion (with their
+    successors), and less so blocks of like motion, share what the model lacks there, as neighbours
+    in space do (Conley, J. Econometrics 92, 1999): a motion recorded twice shows the noise twice,
+    but the error of the model once. All add twice the sum of `g_b . g_c` over pairs of blocks to
+    that of `g_b . g_b`. And a fit absorbs more of correlated residuals: N rows with design effect D
+    (samples per independent sample) are worth N / D, so a fit of p parameters leaves 1 - p D / N of
+    their energy, where CR2 allows for 1 - p / N. D follows from that of the moves,
+    `D (1 - p D / N) = D_moves (1 - p / N)`.
 
     Parameters
     ----------
     information, estimate
         The data and the estimate.
     moves
-        Scores of the blocks, corrected for leverage, (n_blocks, rank).
+        Scores of the blocks, corrected for leverage, `(1 - M_b)^(-1/2) g_b`, (n_blocks, rank).
     grams
-        Information of the blocks, (n_blocks, rank, rank).
+        Information of the blocks `M_b`, (n_blocks, rank, rank).
+    absorbed
+        `(1 - M_b)^(-1/2) M_b`, (n_blocks, rank, rank): by their products the fit makes moves of
+        two blocks opposite where residuals are independent.
     leverage
         Trace p of the hat matrix.
     freedom
@@ -61,11 +68,19 @@ def common_growth(
     if variance <= 0.0 or not np.any(moves):
         return CommonGrowth(1.0, 0.0)
     rank = effective_rank(moves)
-    neighbours = _neighbours(information)
-    repeated = repetitions(information, grams) - neighbours
-    after, spread = _common_part(moves, neighbours, 2.0, 0.5)
-    again, spread_again = _common_part(moves, repeated, 2.0 * len(repeated) / len(moves), 1.0)
-    along, spread = 1.0 + after + again, (spread + spread_again) / rank
+    pairs = _Pairs.of(moves, absorbed, leverage)
+    after = _successors(information)
+    again = _without(_along(repetitions(information, grams), after), after)
+    known = np.vstack([after, again])
+    parts = [
+        pairs.sum(*after.T),
+        pairs.sum(*again.T),
+        pairs.within(different_motions(information, estimate.weights), known),
+    ]
+    spread = sum(each.spread for each in parts) / rank
+    lasting, *shared = parts
+    along = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
+    along += sum(_beyond(each.part, each.spread / rank) for each in shared)
     share = leverage / max(information.n_samples * information.n_joints, 1)
     seen = along * float(np.sum(moves**2)) / (moves.shape[1] * variance)
     grown, steep = _absorbed(share, seen)
@@ -103,41 +118,110 @@ def _unit_variance(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
-def repetitions(information: SquareRootInformation, grams: Array) -> set[tuple[int, int]]:
-    """Return the pairs of blocks that repeat a motion: their information per sample is alike."""
+def repetitions(information: SquareRootInformation, grams: Array) -> Indices:
+    """Return the pairs (m, 2) of blocks that repeat a motion: information per sample is alike."""
     samples = np.array([block.n_samples for block in information.blocks], dtype=np.float64)
     features = (grams / samples[:, None, None]).reshape(len(grams), -1)
     products = features @ features.T
     size = np.diag(products)
     total = size[:, None] + size
     apart = np.maximum(total - 2.0 * products, 0.0)
-    first, second = np.nonzero(np.triu(apart < LIKE**2 * total, 1))
-    return set(zip(first.tolist(), second.tolist(), strict=True))
+    return np.argwhere(np.triu(apart < LIKE**2 * total, 1))
 
 
-def _neighbours(information: SquareRootInformation) -> set[tuple[int, int]]:
-    """Return the pairs of successive blocks."""
+@dataclass(frozen=True, slots=True)
+class _Shared:
+    """Hold twice the sum of products of pairs of blocks over that of each with itself.
+
+    `spread` is its variance for independent blocks with moves of one column.
+    """
+
+    part: float
+    spread: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Sum products of the moves of blocks, less what independent residuals give after a fit."""
+
+    moves: Array
+    absorbed: Array
+    energy: Array
+    unit: float
+
+    @classmethod
+    def of(cls, moves: Array, absorbed: Array, leverage: float) -> _Pairs:
+        energy = np.sum(moves**2, axis=1)
+        return cls(moves, absorbed, energy, float(energy.sum()) / leverage)
+
+    def sum(self, first: Indices, second: Indices) -> _Shared:
+        """Return the sum over pairs of blocks."""
+        product, energy = float(np.sum(self.moves[first] * self.moves[second])), self.energy
+        taken = sum(
+            float(np.sum(self.absorbed[b] * self.absorbed[c]))
+            for b, c in zip(first, second, strict=True)
+        )
+        whole = float(energy.sum())
+        return _Shared(
+            2.0 * (product + self.unit * taken) / whole,
+            4.0 * float(energy[first] @ energy[second]) / whole**2,
+        )
+
+    def within(self, groups: Sequence[Indices], known: Indices) -> _Shared:
+        """Return the sum over pairs of the same group, without `known` pairs (m, 2)."""
+        group = np.empty(len(self.moves), dtype=np.int64)
+        part = spread = 0.0
+        whole = float(self.energy.sum())
+        for k, own in enumerate(groups):
+            group[own] = k
+            move, taken = self.moves[own].sum(axis=0), self.absorbed[own].sum(axis=0)
+            each = sum(float(np.sum(self.absorbed[b] ** 2)) for b in own)
+            energy = self.energy[own]
+            part += float(move @ move - energy.sum()) + self.unit * (float(np.sum(taken**2)) - each)
+            spread += 2.0 * float(energy.sum() ** 2 - np.sum(energy**2))
+        less = self.sum(*known[group[known[:, 0]] == group[known[:, 1]]].T)
+        return _Shared(part / whole - less.part, max(spread / whole**2 - less.spread, 0.0))
+
+
+def _beyond(part: float, variance: float) -> float:
+    """Return what a part is beyond chance: `x - v / x`, 0 where that is negative.
+
+    >>> _beyond(1.0, 0.25), _beyond(0.4, 0.25), _beyond(-1.0, 0.25)
+    (0.75, 0.0, 0.0)
+    """
+    return max(part - variance / part, 0.0) if part > 0.0 else 0.0
+
+
+def _successors(information: SquareRootInformation) -> Indices:
+    """Return the pairs (m, 2) of successive blocks."""
     blocks = information.blocks
-    return {
+    pairs = [
         (b, b + 1)
         for b in range(len(blocks) - 1)
         if blocks[b].source == blocks[b + 1].source
         and 0.0 <= blocks[b + 1].start - blocks[b].stop < 0.5 * (blocks[b].stop - blocks[b].start)
-    }
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _common_part(
-    moves: Array, pairs: set[tuple[int, int]], weight: float, largest: float
-) -> tuple[float, float]:
-    """Return `weight` times the correlation of pairs, and its variance for scores of one column.
+def _along(repeated: Indices, after: Indices) -> Indices:
+    """Return pairs that repeat a motion, and those of one block and the successor of the other.
 
-    The correlation is between 0 and `largest`. The residuals of a fit sum to zero, which alone
-    gives the scores of B blocks a correlation of -1 / (B - 1); that is added back.
+    What successive blocks share in one recording is shared across repetitions too.
     """
-    n, energy = len(moves), float(np.sum(moves**2)) / len(moves)
-    if not pairs or energy == 0.0:
-        return 0.0, 0.0
-    first, second = np.array(sorted(pairs)).T
-    along = float(np.mean(np.sum(moves[first] * moves[second], axis=1))) / energy
-    correlation = float(np.clip(along + 1.0 / (n - 1), 0.0, largest))
-    return weight * correlation, weight**2 / len(pairs)
+    first, second = repeated.T
+    followed = after[:, 0]
+    return np.vstack(
+        [
+            repeated,
+            np.column_stack([first, second + 1])[np.isin(second, followed)],
+            np.column_stack([first + 1, second])[np.isin(first, followed)],
+        ]
+    )
+
+
+def _without(pairs: Indices, others: Indices) -> Indices:
+    """Return the different pairs of different blocks that are not among others, the first lower."""
+    left = set(map(tuple, np.sort(pairs).tolist())) - set(map(tuple, others.tolist()))
+    found = sorted(pair for pair in left if pair[0] != pair[1])
+    return np.array(found, dtype=np.int64).reshape(-1, 2)

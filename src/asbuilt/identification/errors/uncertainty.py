@@ -72,6 +72,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     weight, trace = np.empty((n_blocks, root.shape[0])), 0.0
     with one_blas_thread():
         grams, scores = block_scores(information, estimate)
+        absorbed = np.empty_like(grams)
         for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
             leverage, axes = np.linalg.eigh(gram)
             leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
@@ -80,12 +81,13 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
             turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
             leverages[b] = axes @ (leverage[:, None] * turned)
             weight[b] = leverage @ turned**2
+            absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
             trace += float(leverage.sum())
         freedom = _degrees_of_freedom(leverages, weight)
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
     typical = float(np.median(freedom[determined])) if determined.any() else 1.0
-    common = common_growth(information, estimate, moves, grams, trace, typical)
+    common = common_growth(information, estimate, moves, grams, absorbed, trace, typical)
     parts = np.sqrt(common.factor) * moves @ root.T
     scatter = BlockScatter.of(parts, freedom, common.variance)
     variance = np.maximum(

@@ -6,11 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import cdist
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 MOST_FOLDS = 8
+MOST_SORTED = 500
+"""Blocks whose distances are compared; of more, the others join the nearest group."""
 DIFFERENT_MOTIONS = 6
 """Groups of different motion that are held out; each is then about a sixth of a recording."""
 
@@ -39,7 +42,11 @@ def different_motions(
     for b, block in enumerate(information.blocks):
         root = information.block_stacked(b, weights)[:, :-1] / scale
         features[b] = (root.T @ root)[upper] / block.n_samples
-    group = fcluster(linkage(features, "ward"), most, "maxclust")
+    every = -(-information.n_blocks // MOST_SORTED)
+    group = fcluster(linkage(features[::every], "ward"), most, "maxclust")
+    if every > 1:
+        means = np.array([features[::every][group == k].mean(axis=0) for k in np.unique(group)])
+        group = np.argmin(cdist(features, means), axis=1)
     return [np.flatnonzero(group == each) for each in np.unique(group)]
 
 
