@@ -77,7 +77,6 @@ def test_variances_under_lasting_noise_are_those_of_dense_matrices() -> None:
         scatter = block_uncertainty(information, estimate).scatter
         assert scatter is not None
         ratios.append(np.sum(scatter.moves**2, axis=0) / exact)
-    print("RATIO", np.mean(ratios), np.mean(ratios,axis=0).round(2))
     assert 0.9 < float(np.mean(ratios)) < 1.1
 
 
@@ -99,3 +98,26 @@ def test_intervals_of_a_repeated_motion_keep_their_level_and_have_less_variance(
         ratio.append(thrice / once)
     assert 0.93 < float(np.mean(held)) < 0.985
     assert 0.5 < float(np.median(ratio)) < 0.66
+
+
+def test_intervals_hold_what_blocks_of_like_motion_share() -> None:
+    """Each of six motions is recorded four times at other sizes, with what the model lacks there."""
+    t = T[: int(8.0 * RATE)]
+    kinds = [random_fourier(MODEL, rng=20 + k, duration=8.0, n_harmonics=4) for k in range(6)]
+    waves = np.array([f(2.0 * np.pi * h * t / 8.0) for h in range(1, 9) for f in (np.sin, np.cos)])
+    held = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        lacking = [waves.T @ rng.normal(size=(len(waves), MODEL.n_joints)) for _ in kinds]
+        parts = []
+        for k in range(24):
+            q, qd, qdd = ((1.0 + 0.15 * rng.normal()) * x for x in kinds[k % 6].at(t))
+            columns = observation_matrix(MODEL, q, qd, qdd, drive=BASE.drive, columns=BASE.columns)
+            torque = (columns @ BETA).reshape(q.shape) + lacking[k % 6] + rng.normal(size=q.shape)
+            samples = Samples(t, q, qd, qdd, torque, rate=RATE, joint_names=MODEL.joint_names)
+            parts.append(accumulate(MODEL, BASE, samples, block_seconds=8.0))
+        information = parts[0].merge(*parts[1:])
+        estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
+        errors = block_uncertainty(information, estimate).std_errors
+        held.append(np.abs(estimate.beta - BETA) < 1.96 * errors)
+    assert 0.85 < float(np.mean(held)) < 0.97, "0.74 if only successive blocks and repeats count"

@@ -16,6 +16,8 @@ LIKE = 0.1
 """Relative distance of the information per sample below which blocks repeat a motion: 0.01 to 0.05
 in one motion recorded twice, over 0.18 between other blocks of six real robots.
 """
+LEAST_UNABSORBED = 0.3
+"""Least part of what blocks share that a fit leaves: of few motions it absorbs almost all."""
 LEAST_LEFT = 0.05
 """Least `(1 - 2 p D / N)^2`: a fit that absorbs more of its residuals is not corrected further."""
 
@@ -80,7 +82,7 @@ def common_growth(
     spread = sum(each.spread for each in parts) / rank
     lasting, *shared = parts
     along = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
-    along += sum(_beyond(each.part, each.spread / rank) for each in shared)
+    along += sum(each.beyond_chance(rank) for each in shared)
     share = leverage / max(information.n_samples * information.n_joints, 1)
     seen = along * float(np.sum(moves**2)) / (moves.shape[1] * variance)
     grown, steep = _absorbed(share, seen)
@@ -133,11 +135,27 @@ def repetitions(information: SquareRootInformation, grams: Array) -> Indices:
 class _Shared:
     """Hold twice the sum of products of pairs of blocks over that of each with itself.
 
-    `spread` is its variance for independent blocks with moves of one column.
+    `absorbed` is what the fit takes from that sum where residuals are independent, `spread` its
+    variance for independent blocks with moves of one column.
     """
 
-    part: float
+    products: float
+    absorbed: float
     spread: float
+
+    @property
+    def part(self) -> float:
+        """What pairs share beyond independent residuals."""
+        return self.products + self.absorbed
+
+    def beyond_chance(self, rank: float) -> float:
+        """Return `x - v / x` for the part x and its variance v, 0 where that is negative.
+
+        The fit takes its share of what is shared too, by which x is divided.
+        """
+        left = max(1.0 - self.absorbed, LEAST_UNABSORBED)
+        x, v = self.part / left, self.spread / rank / left**2
+        return max(x - v / x, 0.0) if x > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,40 +174,36 @@ class _Pairs:
 
     def sum(self, first: Indices, second: Indices) -> _Shared:
         """Return the sum over pairs of blocks."""
-        product, energy = float(np.sum(self.moves[first] * self.moves[second])), self.energy
+        energy, whole = self.energy, float(self.energy.sum())
         taken = sum(
             float(np.sum(self.absorbed[b] * self.absorbed[c]))
             for b, c in zip(first, second, strict=True)
         )
-        whole = float(energy.sum())
         return _Shared(
-            2.0 * (product + self.unit * taken) / whole,
+            2.0 * float(np.sum(self.moves[first] * self.moves[second])) / whole,
+            2.0 * self.unit * taken / whole,
             4.0 * float(energy[first] @ energy[second]) / whole**2,
         )
 
     def within(self, groups: Sequence[Indices], known: Indices) -> _Shared:
         """Return the sum over pairs of the same group, without `known` pairs (m, 2)."""
         group = np.empty(len(self.moves), dtype=np.int64)
-        part = spread = 0.0
+        products = absorbed = spread = 0.0
         whole = float(self.energy.sum())
         for k, own in enumerate(groups):
             group[own] = k
             move, taken = self.moves[own].sum(axis=0), self.absorbed[own].sum(axis=0)
             each = sum(float(np.sum(self.absorbed[b] ** 2)) for b in own)
             energy = self.energy[own]
-            part += float(move @ move - energy.sum()) + self.unit * (float(np.sum(taken**2)) - each)
+            products += float(move @ move - energy.sum())
+            absorbed += self.unit * (float(np.sum(taken**2)) - each)
             spread += 2.0 * float(energy.sum() ** 2 - np.sum(energy**2))
         less = self.sum(*known[group[known[:, 0]] == group[known[:, 1]]].T)
-        return _Shared(part / whole - less.part, max(spread / whole**2 - less.spread, 0.0))
-
-
-def _beyond(part: float, variance: float) -> float:
-    """Return what a part is beyond chance: `x - v / x`, 0 where that is negative.
-
-    >>> _beyond(1.0, 0.25), _beyond(0.4, 0.25), _beyond(-1.0, 0.25)
-    (0.75, 0.0, 0.0)
-    """
-    return max(part - variance / part, 0.0) if part > 0.0 else 0.0
+        return _Shared(
+            products / whole - less.products,
+            absorbed / whole - less.absorbed,
+            max(spread / whole**2 - less.spread, 0.0),
+        )
 
 
 def _successors(information: SquareRootInformation) -> Indices:
