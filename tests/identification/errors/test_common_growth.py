@@ -101,7 +101,7 @@ def test_intervals_of_a_repeated_motion_keep_their_level_and_have_less_variance(
 
 
 def test_intervals_hold_what_blocks_of_like_motion_share() -> None:
-    """Each of six motions is recorded four times at other sizes, with what the model lacks there."""
+    """Six motions, each recorded four times at other sizes, with what the model lacks there."""
     t = T[: int(8.0 * RATE)]
     kinds = [random_fourier(MODEL, rng=20 + k, duration=8.0, n_harmonics=4) for k in range(6)]
     waves = np.array([f(2.0 * np.pi * h * t / 8.0) for h in range(1, 9) for f in (np.sin, np.cos)])
