@@ -179,9 +179,9 @@ def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -
     return prepare_samples(recording, chain)
 
 
-def is_long(path: Path, size: float | None = None) -> bool:
-    """Return whether a file has more bytes than `size` (default `LONG`) and is read in chunks."""
+def is_long(path: Path, size: float = LONG) -> bool:
+    """Return whether a file takes more than `size` [bytes] of memory and can be read in chunks."""
     if not path.is_file() or path.suffix == ".toml":
         return False
     stream = log_format(path).stream
-    return stream is not None and stream.n_bytes(path) > (LONG if size is None else size)
+    return stream is not None and stream.n_bytes(path) > size

@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.frames import is_columns
-from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
+from asbuilt.experiment.logs.long_recordings import LONG, RecordingStream, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
@@ -32,6 +32,8 @@ def as_recordings(
     model: RobotModel | None,
     items: RecordingLike | Sequence[RecordingLike],
     options: ReadingOptions | None = None,
+    *,
+    streamed_from: float = LONG,
     **settings: Any,
 ) -> list[Recorded]:
     """Return recordings of whatever holds them; files too long for the memory become streams.
@@ -47,6 +49,8 @@ def as_recordings(
     options, **settings
         How files, frames and dicts are read: `ReadingOptions`, or single fields of it. Recordings,
         streams and samples stay as they are.
+    streamed_from
+        Size [bytes] beyond which a file becomes a stream.
 
     Returns
     -------
@@ -73,7 +77,7 @@ def as_recordings(
         if isinstance(item, str | Path):
             group = group_of[Path(item)]
             if group[0] == Path(item):
-                found.append(_of_files(group, model, chosen))
+                found.append(_of_files(group, model, chosen, streamed_from))
         elif isinstance(item, Recorded):
             found.append(item)
         else:
@@ -85,6 +89,8 @@ def fitted_recordings(
     model: RobotModel,
     groups: Sequence[RecordingLike | Sequence[RecordingLike]],
     options: ReadingOptions | None = None,
+    *,
+    streamed_from: float = LONG,
 ) -> tuple[RobotModel, list[list[Recorded]]]:
     """Return the robot as it was recorded, and its recordings, group by group.
 
@@ -100,6 +106,8 @@ def fitted_recordings(
         Items as `as_recordings` takes them.
     options
         How files, frames and dicts are read.
+    streamed_from
+        Size [bytes] beyond which a file becomes a stream.
 
     Returns
     -------
@@ -118,7 +126,9 @@ def fitted_recordings(
     asked = _locks([item for items in listed for item in items], chosen)
     while True:
         try:
-            read = [as_recordings(model, items, chosen) for items in listed]
+            read = [
+                as_recordings(model, items, chosen, streamed_from=streamed_from) for items in listed
+            ]
             logged = [[_joints_of(item, model) for item in items] for items in read]
         except RecordingError as problem:
             missing = problem.fields.get("missing")
@@ -184,8 +194,8 @@ def _listed(items: Any) -> list[Any]:
 
 
 def _of_files(
-    group: list[Path], model: RobotModel | None, options: ReadingOptions
+    group: list[Path], model: RobotModel | None, options: ReadingOptions, streamed_from: float
 ) -> Recording | RecordingStream:
-    if len(group) == 1 and is_long(group[0]):
+    if len(group) == 1 and is_long(group[0], streamed_from):
         return RecordingStream(group[0], model, options)
     return read_recording(group, model=model, options=options)

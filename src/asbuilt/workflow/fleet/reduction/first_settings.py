@@ -9,12 +9,11 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.experiment.logs.recordings import fitted_recordings
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, joined
 from asbuilt.identification.drives.drive_choice import settle_drive
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
+from asbuilt.workflow.fleet.reduction.log_source import read_logs
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import prepare
 
@@ -50,11 +49,7 @@ def choose_settings(
     UsageError
         If drive terms depend on the load, which differs from estimate to estimate.
     """
-    listed = [path for files in logs for path in files]
-    model, (read,) = fitted_recordings(described, (listed,), reading)
-    logged = read[0]
-    if isinstance(logged, Samples):
-        raise UsageError("a ledger is made of logs, not of samples")
+    model, read = read_logs(described, [path for files in logs for path in files], reading)
     prepared = prepare(model, read, chain=options.chain, checked=options.checked, tolerated=())
     choice = settle_drive(model, prepared.training, options.drive)
     if choice.drive.needs_load:
@@ -73,7 +68,7 @@ def choose_settings(
         model=model,
         drive=choice.drive,
         chain=chain,
-        torque_source=head_of(logged).torque_source,
+        torque_source=head_of(read[0]).torque_source,
         asked_drive=None if options.drive is None else str(options.drive),
         asked_chain=options.chain or SignalChain(),
         chosen=(

@@ -1,4 +1,4 @@
-"""What identifies a log: the hash of its content, and when it was recorded."""
+"""Logs as they come: what identifies them, when they were recorded, and how they are read."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.logs.long_recordings import LONG, RecordingStream
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.readers import find_sheet
+from asbuilt.experiment.logs.recordings import fitted_recordings
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.workflow.fleet.ledger.entry import DateSource
 
+STREAMED = 50e6
+"""Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB."""
 EARLIEST, LATEST = datetime(2000, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 """Dates that a clock can be trusted for; a counter since power-on is none."""
 _IN_NAME = re.compile(
@@ -40,6 +48,26 @@ def source_hash(paths: Sequence[Path]) -> str:
             file=str(paths[0]),
         ) from problem
     return digest.hexdigest()
+
+
+def read_logs(
+    described: RobotModel, paths: Sequence[Path], reading: ReadingOptions
+) -> tuple[RobotModel, list[Recording | RecordingStream]]:
+    """Return the robot as it was recorded, and the recordings; large ones are streams.
+
+    Raises
+    ------
+    RecordingError
+        If one cannot be read, does not fit the robot, or holds samples.
+    """
+    extra = any(find_sheet(path, reading.sheet)[0].columns.extra for path in paths)
+    model, (read,) = fitted_recordings(
+        described, (list(paths),), reading, streamed_from=LONG if extra else STREAMED
+    )
+    logged = [each for each in read if not isinstance(each, Samples)]
+    if len(logged) < len(read):
+        raise RecordingError(f"{paths[0]} holds samples, not a recording", file=str(paths[0]))
+    return model, logged
 
 
 def parse_date(text: str) -> datetime:

@@ -16,11 +16,9 @@ from asbuilt.experiment.logs.long_recordings import (
     HEAD,
     RecordingStream,
     head_of,
-    is_long,
 )
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.experiment.logs.recordings import fitted_recordings
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
@@ -36,13 +34,11 @@ from asbuilt.workflow.fleet.ledger.entry import DIGITS, Entry, EntryName
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.merging import merged_blocks
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings
-from asbuilt.workflow.fleet.reduction.log_source import log_date, source_hash
+from asbuilt.workflow.fleet.reduction.log_source import log_date, read_logs, source_hash
 from asbuilt.workflow.prepare import prepare
 
 BLOCKS = 16
 """Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all."""
-STREAMED = 50e6
-"""Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB."""
 OTHER_CUTOFF = 1.5
 """Ratio of the cutoff that a log calls for to that of its type from which it is named."""
 OTHER_POSITION = 5e-3
@@ -171,15 +167,8 @@ def reduced_entry(
 
 
 def _read(task: LogTask, settings: TypeSettings) -> tuple[RobotModel, Recording | RecordingStream]:
-    """Return the robot as it was recorded, and the recording; a stream where it is large."""
-    first = task.paths[0]
-    sheet = find_sheet(first, task.reading.sheet)[0]
-    plain = not (sheet.lock or task.reading.lock or sheet.columns.extra)
-    if plain and len(task.paths) == 1 and is_long(first, STREAMED):
-        return settings.model, RecordingStream(first, settings.model, task.reading)
-    model, (read,) = fitted_recordings(settings.described, (list(task.paths),), task.reading)
-    if isinstance(read[0], Samples):
-        raise RecordingError(f"{first} holds samples, not a recording")
+    """Return the robot as it was recorded, and the recording."""
+    model, read = read_logs(settings.described, task.paths, task.reading)
     return model, read[0]
 
 
