@@ -179,9 +179,12 @@ def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -
     return prepare_samples(recording, chain)
 
 
-def is_long(path: Path, size: float = LONG) -> bool:
-    """Return whether a file takes more than `size` [bytes] of memory and can be read in chunks."""
+def is_long(path: Path, size: float | None = None) -> bool:
+    """Return whether a file can be read in chunks and takes more memory than `size` [bytes].
+
+    None is `LONG`.
+    """
     if not path.is_file() or path.suffix == ".toml":
         return False
     stream = log_format(path).stream
-    return stream is not None and stream.n_bytes(path) > size
+    return stream is not None and stream.n_bytes(path) > (LONG if size is None else size)

@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.frames import is_columns
-from asbuilt.experiment.logs.long_recordings import LONG, RecordingStream, is_long
+from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
 from asbuilt.experiment.logs.readers import (
     check_readable,
@@ -33,7 +33,7 @@ def as_recordings(
     items: RecordingLike | Sequence[RecordingLike],
     options: ReadingOptions | None = None,
     *,
-    streamed_from: float = LONG,
+    streamed_from: float | None = None,
     **settings: Any,
 ) -> list[Recorded]:
     """Return recordings of whatever holds them; files too long for the memory become streams.
@@ -50,7 +50,7 @@ def as_recordings(
         How files, frames and dicts are read: `ReadingOptions`, or single fields of it. Recordings,
         streams and samples stay as they are.
     streamed_from
-        Size [bytes] beyond which a file becomes a stream.
+        Size [bytes] beyond which a file becomes a stream; None: 200 MB.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def fitted_recordings(
     groups: Sequence[RecordingLike | Sequence[RecordingLike]],
     options: ReadingOptions | None = None,
     *,
-    streamed_from: float = LONG,
+    streamed_from: float | None = None,
 ) -> tuple[RobotModel, list[list[Recorded]]]:
     """Return the robot as it was recorded, and its recordings, group by group.
 
@@ -107,7 +107,7 @@ def fitted_recordings(
     options
         How files, frames and dicts are read.
     streamed_from
-        Size [bytes] beyond which a file becomes a stream.
+        Size [bytes] beyond which a file becomes a stream; None: 200 MB.
 
     Returns
     -------
@@ -194,7 +194,10 @@ def _listed(items: Any) -> list[Any]:
 
 
 def _of_files(
-    group: list[Path], model: RobotModel | None, options: ReadingOptions, streamed_from: float
+    group: list[Path],
+    model: RobotModel | None,
+    options: ReadingOptions,
+    streamed_from: float | None,
 ) -> Recording | RecordingStream:
     if len(group) == 1 and is_long(group[0], streamed_from):
         return RecordingStream(group[0], model, options)

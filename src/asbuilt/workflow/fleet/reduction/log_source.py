@@ -10,7 +10,7 @@ from pathlib import Path
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.logs.long_recordings import LONG, RecordingStream
+from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.experiment.logs.recordings import fitted_recordings
@@ -62,7 +62,7 @@ def read_logs(
     """
     extra = any(find_sheet(path, reading.sheet)[0].columns.extra for path in paths)
     model, (read,) = fitted_recordings(
-        described, (list(paths),), reading, streamed_from=LONG if extra else STREAMED
+        described, (list(paths),), reading, streamed_from=None if extra else STREAMED
     )
     logged = [each for each in read if not isinstance(each, Samples)]
     if len(logged) < len(read):
