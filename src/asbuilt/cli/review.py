@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, finding_text, progress_bar
+from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
     Filtering,
     Full,
     Logs,
+    Out,
     Robot,
     described_robot,
     distinct_logs,
@@ -40,6 +41,7 @@ def review(
     options: StudyOptions,
     reading: ReadingOptions,
     filtering: Filtering,
+    out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -57,7 +59,8 @@ def review(
         from asbuilt.validation.comparison.cad_tolerance import CadTolerance
         from asbuilt.validation.review.review import PLAUSIBLE
         from asbuilt.workflow.review import review as review_robot
-        from asbuilt.writers.reports.reviews.review_text import review_document, review_text
+        from asbuilt.writers.reports.reviews.review_files import with_files, write_review
+        from asbuilt.writers.reports.reviews.review_text import review_text
 
         tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
         found = review_robot(
@@ -67,8 +70,9 @@ def review(
             options=replace(options, chain=chain, sweep_cutoff=swept),
             progress=report,
         )
+        files = write_review(out, found) if out is not None else {}
     answer(
         as_json,
-        lambda: review_document(found),
-        lambda: review_text(found, full=full, finding_text=finding_text),
+        lambda: with_files(found, files),
+        lambda: review_text(found, full=full, finding_text=finding_text) + listed_files(files),
     )
