@@ -74,5 +74,8 @@ def review(
     answer(
         as_json,
         lambda: with_files(found, files),
-        lambda: review_text(found, full=full, finding_text=finding_text) + listed_files(files),
+        lambda: (
+            review_text(found, full=full, finding_text=finding_text).rstrip("\n")
+            + listed_files(files)
+        ),
     )

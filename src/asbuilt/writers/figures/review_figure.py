@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -45,11 +46,11 @@ def review_figure(review: Review, *, title: str = "") -> Figure:
             axis.set_title(f"{kind} [{unit}]")
             axis.set_yticks(range(len(joints)), [broken(name, 16) for name in joints])
             axis.set_ylim(len(joints) - 0.5, -0.5)
-        handles = {}
+        handles: dict[str, Artist] = {}
         for axis in axes:
-            handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-        if handles:
-            figure.legend(handles.values(), handles.keys(), loc="outside lower left", ncols=4)
+            for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+                handles.setdefault(label, handle)
+        figure.legend([*handles.values()], [*handles], loc="outside lower left", ncols=4)
         headline(figure, title or f"{review.robot}: numbers of its drives beside the log")
     return figure
 
