@@ -16,7 +16,7 @@ from asbuilt.monitoring.contact import frame_jacobian
 from asbuilt.monitoring.events import joined_events
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.sensitivity import smallest_forces, step_response
+from asbuilt.monitoring.sensitivity import excess_response, smallest_forces
 from asbuilt.workflow.watching.options import WatchOptions
 from asbuilt.workflow.watching.watch import watch
 from asbuilt.workflow.watching.watched_log import WatchedLog
@@ -200,7 +200,10 @@ def test_a_robot_at_rest_is_watched(watched: WatchedRobot, noise: float) -> None
 def test_smallest_force_is_seen_within_20_ms_and_smaller_ones_are_not(
     watched: WatchedRobot, filtered: bool
 ) -> None:
-    """Torques with the force of a pose, which the observer takes as a ramp over one sample."""
+    """Torques with the force of a pose, which the observer takes as a ramp over one sample.
+
+    Steps of the contact and of noise may have opposite signs, which the rule does not count on.
+    """
     log, tool = watched.quiet[0], (6, np.eye(4))
     observer = Observer(watched.result)
 
@@ -215,16 +218,16 @@ def test_smallest_force_is_seen_within_20_ms_and_smaller_ones_are_not(
     late = round(0.02 * RATE)
     pole = observer.pole(np.diff(seen.t)) if filtered else None
     mean = 0.02 - 0.5 / RATE
-    expected = step_response(observer, mean, pole) / step_response(observer, 0.02, pole)
+    wanted, made = (excess_response(observer, t, 1 / RATE, pole) for t in (0.02, mean))
     for k, force in list(zip(places, forces, strict=True))[:8]:
         along = rng.normal(size=3)
         torque = frame_jacobian(watched.model, seen.q[k], *tool)[3:].T @ along
-        torque *= force / np.linalg.norm(along)
+        torque *= force * wanted / made / np.linalg.norm(along)
         tau = log.tau.copy()
         tau[k - late + 1 :] -= torque
-        change = (observed(tau).residual[k] - seen.residual[k]) / expected
-        ratio = np.abs(seen.residual[k] + change) / limit[k]
-        assert abs(ratio.max() - 1.0) < 0.05
+        pushed = observed(tau)
+        raised = watched.thresholds.of_log(pushed, observer.model_error)[1]
+        assert abs(np.max(np.abs(pushed.residual[k]) / raised[k]) - 1.0) < 0.15
 
 
 def test_what_cannot_be_watched_is_refused(watched: WatchedRobot) -> None:

@@ -8,6 +8,7 @@ from asbuilt.arrays import Array
 from asbuilt.monitoring.contact import frame_jacobian
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
+from asbuilt.monitoring.thresholds import HALF
 
 WITHIN = 0.020
 """Time [s] in which a collision is to be found."""
@@ -28,7 +29,8 @@ def smallest_forces(
     """Return the smallest steps of force [N] at the tool that alarm in time, in some poses (m,).
 
     The residual is linear in the external torque, so a step of force adds its lagged share to the
-    residual found without it. Directions are random, times are equally spaced.
+    residual found without it, and a smaller share, as a step of torque, to the threshold.
+    Directions are random, times are equally spaced.
 
     Parameters
     ----------
@@ -43,7 +45,8 @@ def smallest_forces(
     """
     rng = np.random.default_rng(0)
     steps = np.diff(observed.t)
-    share = step_response(observer, within, observer.pole(steps) if filtered else None)
+    pole, spacing = observer.pole(steps) if filtered else None, float(np.median(steps))
+    share = excess_response(observer, within, spacing, pole)
     found = []
     for k in np.unique(np.linspace(0.1, 0.9, POSES) * (len(observed.t) - 1)).astype(int):
         along = rng.normal(size=3)
@@ -54,6 +57,16 @@ def smallest_forces(
         if felt.any():
             found.append(max(float(np.min(left[felt] / np.abs(torque[felt]))) / share, 0.0))
     return np.array(found)
+
+
+def excess_response(observer: Observer, time: float, spacing: float, pole: float | None) -> float:
+    """Return what a step of external torque adds to the residual, less to the threshold, in `time`.
+
+    The lagged size of the steps of torque between samples of a `spacing` [s] is the change of the
+    step response within one of them.
+    """
+    now, before = (step_response(observer, max(at, 0.0), pole) for at in (time, time - spacing))
+    return now - HALF * (now - before)
 
 
 def step_response(observer: Observer, time: float, pole: float | None) -> float:

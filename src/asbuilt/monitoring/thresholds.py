@@ -21,7 +21,9 @@ BLOCK = 1.0
 SLOW = (0.01, 0.03, 0.1, 0.3)
 """Speeds, as shares of the top speed, below which friction may be in error; one is chosen."""
 POSITIVE = ("level", "floor", "slow_speed")
-NOT_NEGATIVE = ("slow_part", "fast", "step_part", "top_speed")
+NOT_NEGATIVE = ("slow_part", "fast", "top_speed")
+HALF = 0.5
+"""Largest error of the mean of a torque that steps between two samples, per step."""
 MOST = 0.5
 """Largest probability of an alarm in a block; beyond it a level lies within the noise."""
 LEAST = 1e-3
@@ -30,15 +32,14 @@ LEAST = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thresholds:
-    """Hold limits of the residual of each joint: `level S`, with the scale S of its errors.
+    """Hold limits of the residual of each joint: `level S + u / 2`, with the scale S of its errors.
 
-    `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + (step u)^2 + model^2`: a constant, friction near
-    standstill with phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples,
-    growth with speed, torque that changes between samples with u the lagged `|tau_k - tau_(k-1)|`,
-    and the standard deviation of the predicted torque that follows from the covariance of the
-    parameters. A torque that steps at an unknown time between two samples has a
-    mean there that is off by up to half of the step, with standard deviation `1 / sqrt(12)` of it,
-    which is about what `step` becomes.
+    `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + model^2`: a constant, friction near standstill with
+    phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples, growth with
+    speed, and the standard deviation of the predicted torque that follows from the covariance of
+    the parameters. u is the lagged size `|tau_k - tau_(k-1)|` of the steps of torque: one at an
+    unknown time between two samples has a mean there that is off by at most half of it. A contact
+    raises its own threshold by less than half of what it adds to the residual.
 
     Parameters
     ----------
@@ -51,9 +52,9 @@ class Thresholds:
     block_seconds, hours, rate
         Length of the blocks, and of the recordings that the levels were set on, and their sampling
         rate [Hz].
-    level, floor, slow_part, fast, step_part, slow_speed, top_speed
-        Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`, a
-        share for `step_part`], and speeds [rad/s or m/s], the last the highest met.
+    level, floor, slow_part, fast, slow_speed, top_speed
+        Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`],
+        and speeds [rad/s or m/s], the last the highest met.
     tails
         The tail of each joint's block maxima.
     held_out
@@ -77,7 +78,6 @@ class Thresholds:
     floor: Array
     slow_part: Array
     fast: Array
-    step_part: Array
     slow_speed: Array
     top_speed: Array
     tails: tuple[Tail, ...] = ()
@@ -114,22 +114,22 @@ class Thresholds:
         """Return `exp(-(v / slow_speed)^2)` of the least speed v between two samples (n,)."""
         return np.asarray(np.exp(-((least_speed(before, qd) / self.slow_speed) ** 2)))
 
-    def scale(self, qd: Array, slowness: Array, step: Array, model: Array) -> Array:
-        """Return the scale S, shape of `qd`, from lagged slowness and steps, and model error."""
+    def scale(self, qd: Array, slowness: Array, model: Array) -> Array:
+        """Return the scale S, shape of `qd`, from lagged slowness and model error."""
         square = self.floor**2 + self.slow_part**2 * slowness + (self.fast * qd) ** 2
-        return np.asarray(np.sqrt(square + (self.step_part * step) ** 2 + model**2))
+        return np.asarray(np.sqrt(square + model**2))
 
     def limit(self, qd: Array, slowness: Array, step: Array, model: Array) -> Array:
         """Return the largest residual that is no alarm [N m or N], shape of `qd`."""
-        return self.level * self.scale(qd, slowness, step, model)
+        return self.level * self.scale(qd, slowness, model) + HALF * step
 
     def of_log(self, observed: Observed, error: ModelError) -> tuple[Array, Array]:
         """Return scale and limit (N, n) along a log."""
         before = velocities_before(observed)
         slowness = lagged(observed.share, self.slow(before, observed.qd))
         model = error.std(observed.q, observed.qd, observed.qdd)
-        scale = self.scale(observed.qd, slowness, observed.step, model)
-        return scale, self.level * scale
+        scale = self.scale(observed.qd, slowness, model)
+        return scale, self.level * scale + HALF * observed.step
 
 
 def sampling_rates(t: Array) -> Array:
@@ -162,10 +162,10 @@ def set_thresholds(
 ) -> Thresholds:
     """Set thresholds from residuals without contact.
 
-    Residuals are divided by their scale S, which removes most of what speed and pose change, and
-    the largest of each block follow a tail (`tail_level`). Assumptions: the motions ahead are like
-    those of the recordings, blocks are independent, and joints may alarm one at a time, so that
-    their rates add up.
+    Residuals, less what steps of torque may cause, are divided by their scale S, which removes most
+    of what speed and pose change, and the largest of each block follow a tail (`tail_level`).
+    Assumptions: the motions ahead are like those of the recordings, blocks are independent, and
+    joints may alarm one at a time, so that their rates add up.
 
     Parameters
     ----------
@@ -224,13 +224,15 @@ def set_thresholds(
             floor=np.array([part[0] for part in parts]),
             slow_part=np.array([part[1] for part in parts]),
             fast=np.array([part[2] for part in parts]),
-            step_part=np.array([part[3] for part in parts]),
-            slow_speed=np.array([part[4] for part in parts]),
+            slow_speed=np.array([part[3] for part in parts]),
             top_speed=np.max([np.abs(log.qd).max(axis=0) for log in logs], axis=0),
             held_out=held_out,
             filtered=filtered,
         )
-        ratios = [np.abs(log.residual) / made.of_log(log, error)[0] for log in logs]
+        ratios = [
+            np.maximum(np.abs(log.residual) - HALF * log.step, 0.0) / made.of_log(log, error)[0]
+            for log in logs
+        ]
         if last:
             break
         kept = [_quiet(log, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
@@ -273,11 +275,11 @@ def _quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
 
 def _parts(
     j: int, logs: Sequence[Observed], models: Sequence[Array], kept: Sequence[Mask]
-) -> tuple[float, float, float, float, float]:
-    """Return floor, slow part, fast part, step part and slow speed of joint j.
+) -> tuple[float, float, float, float]:
+    """Return floor, slow part, fast part and slow speed of joint j.
 
     They are the most likely for normal residuals of these scales, by weighted least squares of the
-    squares.
+    squares; a share of the steps of torque is fitted beside them.
     """
     residual, speed, model, step = (
         np.concatenate([each[keep] for each, keep in zip(arrays, kept, strict=True)])
@@ -292,7 +294,7 @@ def _parts(
     squares, model, step = (residual / size) ** 2, model / size**2, step / size
     top = float(np.abs(speed).max()) or 1.0
     least = [least_speed(velocities_before(log), log.qd) for log in logs]
-    best: tuple[float, tuple[float, float, float, float, float]] | None = None
+    best: tuple[float, tuple[float, float, float, float]] | None = None
     for part in SLOW:
         slow_speed = part * top
         slowness = np.concatenate(
@@ -309,7 +311,7 @@ def _parts(
             variance = columns @ found + model
         cost = float(np.sum(np.log(variance) + squares / variance))
         if best is None or cost < best[0]:
-            a, b, c, d = np.sqrt(found).tolist()
-            best = cost, (size * a, size * b, size * c / top, d, slow_speed)
+            a, b, c, _ = (size * np.sqrt(found)).tolist()
+            best = cost, (a, b, c / top, slow_speed)
     assert best is not None
     return best[1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.monitoring.observer import BANDWIDTH, LONGEST_STEP
-from asbuilt.monitoring.thresholds import Thresholds
+from asbuilt.monitoring.thresholds import HALF, Thresholds
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,8 @@ def _threshold_header(name: str, n: int, thresholds: Thresholds) -> str:
 /*
  * Thresholds for {rate:g} false alarms per hour, all joints together, in motions like the
  * {3600.0 * thresholds.hours:.0f} s that they were set on: level times the scale of the errors at
- * this speed and pose, the covariance of the parameters included. q is that of the last update.
+ * this speed and pose, the covariance of the parameters included, and half of the steps of torque.
+ * q is that of the last update.
  */
 void {name}_observer_threshold(const {name}_observer *observer, const double q[{n}],
     double threshold[{n}]);
@@ -152,7 +153,6 @@ def _threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) 
         "floor_square": thresholds.floor**2,
         "slow_square": thresholds.slow_part**2,
         "fast": thresholds.fast,
-        "step_square": thresholds.step_part**2,
     }
     tables = "\n".join(_table(key, values) for key, values in parts.items())
     spread = ""
@@ -179,9 +179,8 @@ void {name}_observer_threshold(const {name}_observer *observer, const double q[{
 {{
 {regressor}    for (int j = 0; j < {n}; j++) {{
         const double speed = fast[j]*observer->velocity[j];
-        double square = floor_square[j] + slow_square[j]*observer->slowness[j] + speed*speed
-            + step_square[j]*observer->step[j]*observer->step[j];
-{spread}        threshold[j] = level[j]*sqrt(square);
+        double square = floor_square[j] + slow_square[j]*observer->slowness[j] + speed*speed;
+{spread}        threshold[j] = level[j]*sqrt(square) + {HALF!r}*observer->step[j];
     }}
 }}
 
