@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.errors import UsageError
-from asbuilt.executor import open_workers
+from asbuilt.errors import AsbuiltError, UsageError
+from asbuilt.executor import Workers, open_workers, results_in_order
 
 
 def square(number: int) -> int:
@@ -59,3 +59,36 @@ def test_a_killed_process_costs_the_task_that_kills_it(tmp_path: Path) -> None:
 def test_wrong_workers_are_refused() -> None:
     with pytest.raises(UsageError, match="0 or more, got -1"), open_workers(-1):
         pass
+
+
+def halved(number: int) -> int | None:
+    if number % 2:
+        raise UsageError(f"{number} is odd", value=number)
+    return None if number == 4 else number // 2
+
+
+def lost(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.mark.parametrize("count", [None, 0, 2])
+def test_results_come_in_the_order_of_their_tasks(count: int | None) -> None:
+    def check(workers: Workers | None) -> None:
+        assert results_in_order(halved, range(0, 12, 2), workers) == [0, 1, None, 3, 4, 5]
+        assert results_in_order(halved, [], workers) == []
+        with pytest.raises(UsageError) as caught:
+            results_in_order(halved, [2, 5, 4, 3], workers)
+        assert caught.value.fields["value"] == 5
+
+    if count is None:
+        check(None)
+        return
+    with open_workers(count) as workers:
+        check(workers)
+
+
+def test_a_task_whose_process_dies_is_an_error() -> None:
+    with open_workers(1) as workers, pytest.raises(AsbuiltError, match="killed"):
+        results_in_order(lost, [1, 2, 3], workers)

@@ -30,6 +30,7 @@ from .excitation.design.static_poses import design_static_poses as design_static
 from .excitation.motions.motion_csv import read_motion as read_motion
 from .excitation.motions.random_motion import random_fourier as random_fourier
 from .excitation.motions.random_motion import random_point_to_point as random_point_to_point
+from .executor import open_workers as open_workers
 from .experiment.logs.options import ReadingOptions as ReadingOptions
 from .experiment.logs.readers import read_recording as read_recording
 from .experiment.logs.recordings import as_recordings as as_recordings

@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from itertools import islice
 from typing import Any, Generic, Protocol, TypeVar
 
-from asbuilt.errors import MissingExtraError, UsageError
+from asbuilt.errors import AsbuiltError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
 
 Task = TypeVar("Task")
@@ -201,6 +202,46 @@ def _reason(problem: BaseException) -> str:
     if type(problem).__name__ == "KilledWorker":
         return "its worker was killed again and again"
     return f"{type(problem).__name__}: {problem}"
+
+
+def results_in_order(
+    function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers | None = None
+) -> list[Result]:
+    """Return `function(task)` of all tasks, by workers or, if there are none, here.
+
+    Raises
+    ------
+    AsbuiltError
+        That of the first task that raises one, as it would here; or one that names the loss of a
+        worker.
+    """
+    if workers is None:
+        return [function(task) for task in tasks]
+    numbered = list(enumerate(tasks))
+    found: dict[int, _Finished] = {}
+    for outcome in workers.run(partial(_finished, function), numbered):
+        lost = AsbuiltError(f"a worker did not finish its part: {outcome.problem}")
+        found[outcome.task[0]] = outcome.result or _Finished(problem=lost)
+    ordered = [found[number] for number, _ in numbered]
+    for each in ordered:
+        if each.problem is not None:
+            raise each.problem
+    return [each.result for each in ordered]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Finished:
+    """Hold the result of a task, or its error, of which others would get the text alone."""
+
+    result: Any = None
+    problem: AsbuiltError | None = None
+
+
+def _finished(function: Callable[[Task], Any], task: tuple[int, Task]) -> _Finished:
+    try:
+        return _Finished(function(task[1]))
+    except AsbuiltError as problem:
+        return _Finished(problem=problem)
 
 
 @contextmanager

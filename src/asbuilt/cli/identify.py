@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,8 +17,10 @@ from asbuilt.cli.arguments.options import (
     Judges,
     Logs,
     Out,
+    Processes,
     Result,
     Robot,
+    Scheduler,
     Unchecked,
     described_robot,
     distinct_logs,
@@ -26,6 +28,7 @@ from asbuilt.cli.arguments.options import (
     recordings_of,
     refuse_idle,
     robot_and_recordings,
+    shared_work,
     writable_file,
 )
 from asbuilt.cli.arguments.spread import given_options
@@ -42,6 +45,9 @@ from asbuilt.workflow.options import (
     ValidationOptions,
     horizons,
 )
+
+if TYPE_CHECKING:
+    from asbuilt.executor import Workers
 
 
 def identify(
@@ -126,6 +132,8 @@ def validate(
         typer.Option("--require", help="exit with status 1 if the model predicts worse than CAD"),
     ] = False,
     unchecked: Unchecked = False,
+    workers: Processes = None,
+    scheduler: Scheduler = None,
     reading: ReadingOptions,
     filtering: Filtering,
     out: Out = None,
@@ -136,6 +144,8 @@ def validate(
     distinct_logs(log)
     if rollout is None:
         refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
+        shares = {"--workers": workers is not None, "--scheduler": scheduler is not None}
+        refuse_idle("only rollouts are shared", shares)
     options = ValidationOptions(
         chain=filtering.chain() if any(filtering.given.values()) else None,
         rollout=() if rollout is None else horizons(rollout),
@@ -146,7 +156,10 @@ def validate(
             "--require compares an identified model with CAD; a robot as described is CAD",
             {"--require": require},
         )
-        _validate_described(result, log, options, reading, out, animation, full, as_json)
+        with shared_work(workers, scheduler) as shared:
+            _validate_described(
+                result, log, options, reading, out, animation, shared, full=full, as_json=as_json
+            )
         return
     identified = read_result(Path(result))
     if options.chain is not None and filtering.delay is None and identified.chain is not None:
@@ -163,7 +176,10 @@ def validate(
     from asbuilt.writers.tables.tabular import validate_document
 
     validations = validate_result(identified, logged, options=options)
-    simulated = roll_out_result(identified, logged, options.rollout, options=options)
+    with shared_work(workers, scheduler) as shared:
+        simulated = roll_out_result(
+            identified, logged, options.rollout, options=options, workers=shared
+        )
     files = write_validations(out, identified, validations) if out is not None else {}
     files |= write_rollouts(identified.model, simulated, out, animation)
     comparison = compare(identified, validation=validations)
@@ -193,6 +209,8 @@ def _validate_described(
     reading: ReadingOptions,
     out: Path | None,
     animation: Path | None,
+    workers: Workers | None,
+    *,
     full: bool,
     as_json: bool,
 ) -> None:
@@ -213,7 +231,7 @@ def _validate_described(
     from asbuilt.writers.tables.tabular import described_document, described_torque_table
 
     errors = validate_robot(model, logged, options=options)
-    simulated = roll_out_robot(model, logged, options.rollout, options=options)
+    simulated = roll_out_robot(model, logged, options.rollout, options=options, workers=workers)
     files = write_rollouts(model, simulated, out, animation)
     answer(
         as_json,

@@ -15,20 +15,24 @@ from asbuilt.cli.arguments.options import (
     FixedBase,
     Full,
     Out,
+    Processes,
     Result,
     Robot,
     RobotOrResult,
+    Scheduler,
     Seed,
     described_robot,
     read_result,
     refuse_idle,
     robot_as_built,
+    shared_work,
     writable_file,
 )
 from asbuilt.cli.arguments.spread import one_of
 from asbuilt.errors import UsageError
 
 if TYPE_CHECKING:
+    from asbuilt.executor import Workers
     from asbuilt.identification.result.result import IdentificationResult
 
 
@@ -261,6 +265,8 @@ def export(
         ),
     ] = None,
     seed: Seed = 0,
+    workers: Processes = None,
+    scheduler: Scheduler = None,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -281,9 +287,14 @@ def export(
             | {"--urdf FILE": urdf is not None and not bare, "--nearest": nearest}
             | {"--force": force, "--to": bool(to), "--observer": observer is not None},
         )
-        _export_ensemble(read_result(result), ensemble, "urdf" if bare else "mjcf", seed, out,
-                         full=full, as_json=as_json)  # fmt: skip
+        with shared_work(workers, scheduler) as shared:
+            _export_ensemble(read_result(result), ensemble, "urdf" if bare else "mjcf", seed, out,
+                             shared, full=full, as_json=as_json)  # fmt: skip
         return
+    refuse_idle(
+        "only the draws of an ensemble are shared",
+        {"--workers": workers is not None, "--scheduler": scheduler is not None},
+    )
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
@@ -322,6 +333,7 @@ def _export_ensemble(
     models: Literal["mjcf", "urdf"],
     seed: int,
     out: Path | None,
+    workers: Workers | None,
     *,
     full: bool,
     as_json: bool,
@@ -331,7 +343,8 @@ def _export_ensemble(
 
     if out is None:
         raise UsageError("an ensemble is a folder of files; name it with --out DIR")
-    written = write_ensemble(out, draw_ensemble(result, n, rng=seed), models=models, seed=seed)
+    drawn = draw_ensemble(result, n, rng=seed, workers=workers)
+    written = write_ensemble(out, drawn, models=models, seed=seed)
     answer(as_json, written.as_document, lambda: written.as_text(full))
 
 

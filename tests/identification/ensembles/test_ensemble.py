@@ -7,8 +7,9 @@ from tests.identification.ensembles.example_results import servo_result, two_lin
 
 from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.errors import UsageError
+from asbuilt.executor import open_workers
 from asbuilt.identification.bodies.cad_prior import cad_prior
-from asbuilt.identification.ensembles.consistent_draws import FAITHFUL, consistent_draws
+from asbuilt.identification.ensembles.consistent_draws import AT_ONCE, FAITHFUL, consistent_draws
 from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
 from asbuilt.identification.errors.block_scatter import BlockScatter, mean_degrees, widening
 from asbuilt.identification.result.result import IdentificationResult
@@ -123,3 +124,13 @@ def test_few_time_blocks_give_students_distribution(result: IdentificationResult
     found = np.quantile(sigmas, [0.05, 0.95], axis=0)
     assert np.allclose(found, [[-student.ppf(0.95, nu)], [student.ppf(0.95, nu)]], atol=0.15)
     assert np.quantile(np.abs(sigmas), 0.99) > np.quantile(np.abs(normal), 0.99)
+
+
+def test_workers_draw_the_same_robots_to_the_last_bit(result: IdentificationResult) -> None:
+    n = 3 * AT_ONCE + 7
+    here = draw_ensemble(result, n, rng=5)
+    with open_workers(2) as workers:
+        there = draw_ensemble(result, n, rng=5, workers=workers)
+    assert here.table.tobytes() == there.table.tobytes()
+    assert here.middle.tobytes() == there.middle.tobytes()
+    assert here.chi_square.tobytes() == there.chi_square.tobytes()

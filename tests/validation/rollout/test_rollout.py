@@ -10,6 +10,7 @@ from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, se
 from tests.identification.trajectories.test_simulation import samples_of
 
 from asbuilt.description.catalogue import bundled_robot
+from asbuilt.executor import open_workers
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.simulated_robot import robot_as_described
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
@@ -67,6 +68,25 @@ def test_the_truth_is_closer_than_a_wrong_description(windows: Windows) -> None:
     assert rollout_findings([replace(found, outlying=())]) == ()
     exchanged = replace(found, as_built=replace(found.cad, rms_all=1.0), outlying=())
     assert [each.code for each in rollout_findings([exchanged])] == ["rollout_worse_than_command"]
+
+
+def test_workers_simulate_the_same_to_the_last_bit(windows: Windows) -> None:
+    truth = servo_arm()
+    heavier = truth.with_parameters(1.2 * truth.parameters)
+    robots = [robot_as_described(each, SERVO) for each in (truth, heavier)]
+    recordings = [windows, windows]
+    here = roll_out(truth, recordings, robots, [None, robots[0]])
+    with open_workers(2) as workers:
+        there = roll_out(truth, recordings, robots, [None, robots[0]], workers=workers)
+    assert here.as_dict() == there.as_dict()
+    for one, other in zip(here.motions, there.motions, strict=True):
+        assert one.cad is not None
+        assert other.cad is not None
+        assert one.cad.tobytes() == other.cad.tobytes()
+    assert there.motions[0].as_built is None
+    last = there.motions[1].as_built
+    assert last is not None
+    assert last.tobytes() == here.motions[0].cad.tobytes()
 
 
 def test_errors_by_recording_and_their_mean(windows: Windows) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,11 +16,28 @@ from asbuilt.errors import UsageError
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
+    from asbuilt.executor import Workers
     from asbuilt.experiment.logs.long_recordings import RecordingStream
     from asbuilt.experiment.logs.options import ReadingOptions
     from asbuilt.experiment.recording import Recording
     from asbuilt.experiment.signal.signal_chain import SignalChain
     from asbuilt.identification.result.result import IdentificationResult
+
+
+@contextmanager
+def shared_work(processes: int | None, scheduler: str | None) -> Iterator[Workers | None]:
+    """Yield the workers of `--workers` or `--scheduler`, None without either."""
+    if processes is None and scheduler is None:
+        yield None
+        return
+    if processes is not None and scheduler is not None:
+        raise UsageError(
+            "--workers and --scheduler exclude each other; start as many Dask workers as you want"
+        )
+    from asbuilt.executor import open_workers
+
+    with open_workers(processes, scheduler) as workers:
+        yield workers
 
 
 def writable_folder(folder: Path | None) -> Path | None:
@@ -99,6 +117,20 @@ Holdout = Annotated[
 ]
 Unchecked = Annotated[
     bool, typer.Option("--unchecked", help="use the recordings whatever their checks find")
+]
+Processes = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", metavar="N", min=1, help="processes that share the work (default: this one)"
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers share the work, such as tcp://10.0.0.1:8786",
+    ),
 ]
 Carrier = Annotated[
     str | None,

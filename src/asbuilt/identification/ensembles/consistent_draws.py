@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.executor import Workers, results_in_order
 from asbuilt.identification.bodies.body_bounds import generous_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.bodies.entropic_fit import Coordinates
@@ -19,15 +22,34 @@ FAITHFUL = 0.01
 """Chi-square of a fit from its draw, a tenth of a standard error, that changes no distribution."""
 
 
+AT_ONCE = 50
+"""Draws that are fitted together, whoever does it, so that the numbers do not depend on that."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Draws to fit together."""
+
+    cad: CadPrior
+    base: BaseParameters
+    drawn: Array
+    information_root: Array
+
+
 def consistent_draws(
-    cad: CadPrior, base: BaseParameters, drawn: Array, information_root: Array
+    cad: CadPrior,
+    base: BaseParameters,
+    drawn: Array,
+    information_root: Array,
+    *,
+    workers: Workers | None = None,
 ) -> tuple[Array, Array]:
     """Return the consistent parameters next to many draws, and their chi-squares.
 
     Draw i is `min |R (K chi - beta_i)|^2 / 2 + weight D(chi || CAD)` with the largest weight of CAD
-    at which no draw moves by more than a tenth of a standard error. Where physics does not allow
-    a draw (a negative friction, an impossible link), the nearest possible one takes its place.
-    What the recordings do not determine stays that of CAD.
+    at which no draw of its part moves by more than a tenth of a standard error. Where physics does
+    not allow a draw (a negative friction, an impossible link), the nearest possible one takes its
+    place. What the recordings do not determine stays that of CAD.
 
     Parameters
     ----------
@@ -37,6 +59,8 @@ def consistent_draws(
         Base parameters (N, p).
     information_root
         R (r, p) with `R^T R` the inverse covariance.
+    workers
+        Share the parts, to the same bits; None: this process.
 
     Returns
     -------
@@ -48,6 +72,17 @@ def consistent_draws(
     IdentifiabilityError
         If no fit converges.
     """
+    parts = [
+        _Part(cad, base, drawn[first : first + AT_ONCE], information_root)
+        for first in range(0, len(drawn), AT_ONCE)
+    ]
+    chi, chi_square = zip(*results_in_order(_fitted, parts, workers), strict=True)
+    return np.concatenate(chi), np.concatenate(chi_square)
+
+
+def _fitted(part: _Part) -> tuple[Array, Array]:
+    """Return the consistent parameters next to the draws of a part, and their chi-squares."""
+    cad, base, drawn, information_root = part.cad, part.base, part.drawn, part.information_root
     factors = np.stack([_factor(information_root, beta) for beta in drawn])
     weights = [*DESCENT]
     while weights[-1] > WEAKEST * 1.5:

@@ -10,6 +10,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
 from asbuilt.errors import InertiaError, UsageError
+from asbuilt.executor import Workers
 from asbuilt.findings import Cure, joined
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.ensembles.consistent_draws import consistent_draws
@@ -118,7 +119,9 @@ class Ensemble:
         )
 
 
-def draw_ensemble(result: IdentificationResult, n: int, *, rng: Seed = None) -> Ensemble:
+def draw_ensemble(
+    result: IdentificationResult, n: int, *, rng: Seed = None, workers: Workers | None = None
+) -> Ensemble:
     """Draw robots from the joint uncertainty of a result.
 
     Base parameters are drawn from `N(estimates, covariance)`, and if few time blocks gave the
@@ -137,6 +140,9 @@ def draw_ensemble(result: IdentificationResult, n: int, *, rng: Seed = None) -> 
         Number of robots.
     rng
         Seed or generator.
+    workers
+        Who makes the draws consistent, to the same bits: those of `open_workers`; None: this
+        process.
 
     Raises
     ------
@@ -174,7 +180,7 @@ def draw_ensemble(result: IdentificationResult, n: int, *, rng: Seed = None) -> 
     root = (directions / np.sqrt(variances)).T * scale
     prior = cad_prior(result.model, result.base.drive)
     asked = np.vstack([result.estimates, drawn])
-    chi, chi_square = consistent_draws(prior, result.base, asked, root)
+    chi, chi_square = consistent_draws(prior, result.base, asked, root, workers=workers)
     centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
     if any(term.nonlinear for term in result.base.drive.terms):
         notes.append("nonlinear parameters of drive terms are the identified ones in every draw")

@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import InertiaError
+from asbuilt.executor import Workers, results_in_order
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.trajectories.drive_signal import DrivenBy
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
@@ -112,6 +113,8 @@ def roll_out(
     windows: Sequence[Windows],
     cad: Sequence[SimulatedRobot | None],
     as_built: Sequence[SimulatedRobot | None],
+    *,
+    workers: Workers | None = None,
 ) -> Rollout:
     """Simulate windows of the same length and measure their errors.
 
@@ -123,20 +126,25 @@ def roll_out(
         Windows of each recording.
     cad, as_built
         The robots to simulate in each recording, or None.
+    workers
+        Share the simulations, to the same bits; None: this process.
     """
     why: dict[str, str] = {}
+    each = [(*zip(robots, windows, strict=True),) for robots in (cad, as_built)]
+    paths = results_in_order(_simulated, [*each[0], *each[1]], workers)
 
-    def simulated(name: str, robot: SimulatedRobot | None, cut: Windows) -> Array | None:
-        try:
-            return None if robot is None or name in why else simulate_windows(robot, cut)
-        except InertiaError as problem:
-            why[name] = problem.message
-            return None
+    def simulated(name: str, found: Sequence[Array | str | None]) -> list[Array | None]:
+        """Return paths, none from the first on that cannot be simulated, and note why."""
+        kept: list[Array | None] = []
+        for path in found:
+            if isinstance(path, str):
+                why.setdefault(name, path)
+            kept.append(None if name in why or isinstance(path, str) else path)
+        return kept
 
-    motions = tuple(
-        SimulatedMotion(cut, simulated("cad", by_cad, cut), simulated("as_built", built, cut))
-        for cut, by_cad, built in zip(windows, cad, as_built, strict=True)
-    )
+    by_cad = simulated("cad", paths[: len(windows)])
+    built = simulated("as_built", paths[len(windows) :])
+    motions = tuple(map(SimulatedMotion, windows, by_cad, built))
     measured = [cut.q for cut in windows]
 
     def errors(name: str, of: Sequence[SimulatedMotion]) -> RolloutErrors | None:
@@ -180,6 +188,15 @@ def roll_out(
         found,
         _of_regular(model, motions, usual) if found else None,
     )
+
+
+def _simulated(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | None:
+    """Return the motion of a robot, None without one, or why it cannot be simulated."""
+    robot, windows = task
+    try:
+        return None if robot is None else simulate_windows(robot, windows)
+    except InertiaError as problem:
+        return problem.message
 
 
 def _outlying(

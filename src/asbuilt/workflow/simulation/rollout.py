@@ -9,6 +9,7 @@ from pathlib import Path
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.executor import Workers
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
@@ -44,6 +45,7 @@ def roll_out_result(
     horizons: Sequence[float],
     *,
     options: ValidationOptions | None = None,
+    workers: Workers | None = None,
 ) -> tuple[Rollout, ...]:
     """Simulate recordings from the measured state with an identified model, and with CAD.
 
@@ -61,6 +63,8 @@ def roll_out_result(
         Lengths of the windows [s].
     options
         How to prepare the recordings; None: the defaults.
+    workers
+        Who simulates, to the same bits: those of `open_workers`; None: this process.
 
     Returns
     -------
@@ -80,7 +84,7 @@ def roll_out_result(
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
     results = [_not_of(result, item, options.chain) for item in logged]
-    return simulated_rollouts(results, parts, horizons, cad=cad)
+    return simulated_rollouts(results, parts, horizons, cad=cad, workers=workers)
 
 
 def roll_out_robot(
@@ -89,6 +93,7 @@ def roll_out_robot(
     horizons: Sequence[float],
     *,
     options: ValidationOptions | None = None,
+    workers: Workers | None = None,
 ) -> tuple[Rollout, ...]:
     """Simulate recordings with a robot as described, drives included.
 
@@ -106,6 +111,7 @@ def roll_out_robot(
             [cut_windows(one, samples, horizon, signal) for one, samples, signal in parts],
             described,
             [None] * len(parts),
+            workers=workers,
         )
         for horizon in horizons
     )
@@ -117,6 +123,7 @@ def simulated_rollouts(
     horizons: Sequence[float],
     *,
     cad: RobotModel | None = None,
+    workers: Workers | None = None,
 ) -> tuple[Rollout, ...]:
     """Return the rollouts of parts of recordings, each by its own result, with CAD beside it."""
     if not parts:
@@ -132,6 +139,7 @@ def simulated_rollouts(
             [cut_windows(one, samples, horizon, signal) for one, samples, signal in parts],
             by_cad,
             built,
+            workers=workers,
         )
         for horizon in horizons
     )
