@@ -137,10 +137,16 @@ def lock_findings(
         Finding(
             "joints_locked",
             "info",
-            f"joint{'s' if several else ''} {joined(held)} {'are' if several else 'is'} locked: the"
-            " recording lacks them or they were named, and their links count to those that carry"
-            " them",
-            Cure("if they stood elsewhere, give their positions", {"lock": names}),
+            f"joints are locked that the recording lacks or that were named: {joined(held)}; their"
+            " links count to those that carry them"
+            if several
+            else f"joint {held[0]} is locked, since the recording lacks it or it was named; its"
+            " link counts to the one that carries it",
+            Cure(
+                f"if {'they' if several else 'it'} stood elsewhere, give the"
+                f" position{'s' if several else ''}",
+                {"lock": names},
+            ),
         ),
         *(held_still if coupled else ()),
     )

@@ -437,6 +437,25 @@ def test_stream_is_the_whole_in_stretches(
         np.testing.assert_array_equal(joined, getattr(whole, name))
 
 
+@pytest.mark.parametrize("separator", [",", " "])
+def test_a_cut_last_line_is_left_out(tmp_path: Path, logged: dict, separator: str) -> None:
+    frame = spread(logged)
+    path = tmp_path / "log.csv"
+    text = frame.write_csv(separator=separator)
+    path.write_text("# recorder\n" + (text if separator == "," else f"#{text}")[:-30])
+    recording = read_recording(path)
+    assert_same(recording, {name: values[:-1] for name, values in logged.items()})
+    assert any("last line is cut" in note for note in recording.notes)
+    if separator == ",":
+        parts = list(stream_recording(path, chunk_samples=299))
+        assert [part.n_samples for part in parts] == [299]
+
+
+def test_a_whole_last_line_without_an_end_is_kept(tmp_path: Path, logged: dict) -> None:
+    (tmp_path / "log.csv").write_text(spread(logged).write_csv().rstrip())
+    assert_same(read_recording(tmp_path / "log.csv"), logged)
+
+
 def test_stream_keeps_windows_of_the_sheet(tmp_path: Path, logged: dict) -> None:
     spread(logged).write_csv(tmp_path / "log.csv")
     (tmp_path / "log.toml").write_text("[[windows]]\nstart = 0.95\nstop = 1.55")

@@ -42,7 +42,8 @@ _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 class Dialect:
     """Describe a text file; `separator` is "" for blanks, `skip` lines precede the data.
 
-    Of the text columns those of dates and times are `dated`.
+    Of the text columns those of dates and times are `dated`. `rows` are those before a last line
+    that is cut, as where a recorder was stopped while it wrote; None if it is whole.
     """
 
     separator: str
@@ -52,6 +53,7 @@ class Dialect:
     named: bool
     text_columns: tuple[str, ...]
     dated: tuple[str, ...] = ()
+    rows: int | None = None
 
     @property
     def numeric(self) -> tuple[str, ...]:
@@ -168,7 +170,22 @@ def find_dialect(
             file=str(path),
             line=skip + 1,
         )
-    return Dialect(separator, decimal_comma, skip, tuple(names), has_header, text, dated)
+    rows = _rows_before_cut(path, skip, separator, len(names))
+    return Dialect(separator, decimal_comma, skip, tuple(names), has_header, text, dated, rows)
+
+
+def _rows_before_cut(path: Path, skip: int, separator: str, columns: int) -> int | None:
+    """Return how many rows precede a last line that lacks cells and its end; None if none does."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(0, size - LONGEST_LINE))
+        last = file.read().rpartition(b"\n")[2].decode("utf-8", "replace")
+        if not last.strip() or len(_fields(last, separator)) >= columns:
+            return None
+        file.seek(0)
+        lines = (line for k, line in enumerate(file) if k >= skip)
+        rows = sum(not line.startswith(b"#") for line in lines) - 1
+    return rows if rows > 0 else None
 
 
 def _is_header(fields: list[str], rows: list[list[str]], decimal_comma: bool) -> bool:
@@ -209,6 +226,7 @@ def scan_delimited(path: Path, dialect: Dialect) -> pl.LazyFrame:
         comment_prefix="#",
         null_values=_MISSING,
         decimal_comma=dialect.decimal_comma,
+        n_rows=dialect.rows,
     )
 
 
@@ -249,8 +267,13 @@ def _header_of(path: Path, dialect: Dialect) -> LogTable:
         columns={name: np.empty(0) for name in dialect.numeric},
         named=dialect.named,
         text_columns=tuple(name for name in dialect.names if name not in dialect.numeric),
+        notes=_notes(dialect),
         order=dialect.names,
     )
+
+
+def _notes(dialect: Dialect) -> tuple[str, ...]:
+    return () if dialect.rows is None else ("the last line is cut and was left out",)
 
 
 def _with_times(path: Path, frame: pl.DataFrame, dialect: Dialect) -> pl.DataFrame:
@@ -309,7 +332,13 @@ def bad_cell(path: Path, dialect: Dialect, error: Exception) -> RecordingError:
 
 def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
     try:
-        data = np.loadtxt(path, comments=list(_COMMENTS), skiprows=dialect.skip, ndmin=2)
+        data = np.loadtxt(
+            path,
+            comments=list(_COMMENTS),
+            skiprows=dialect.skip,
+            max_rows=dialect.rows,
+            ndmin=2,
+        )
     except ValueError as error:
         raise RecordingError(
             f"{path} cannot be read as numbers between blanks: {error}", file=str(path)
@@ -318,6 +347,7 @@ def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
         source=str(path),
         columns={name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(dialect.names)},
         named=dialect.named,
+        notes=_notes(dialect),
     )
 
 
