@@ -38,3 +38,15 @@ def test_relief_is_that_of_a_tilted_base(degrees):
         assert relief[0] > np.log(2.0)
     else:
         assert relief[0] < 0.1
+
+
+def test_torques_without_noise_end_in_an_answer():
+    arm = load_robot("ur10e")
+    tilted = arm.with_gravity(9.81 * np.array([np.sin(0.17), 0.0, -np.cos(0.17)]))
+    log = simulate_recording(tilted, random_fourier(arm, rng=4), rate=200.0)
+    samples = [prepare_samples(log, resolve_chain(SignalChain(), log))]
+    drive = DriveSet.parse("viscous,coulomb,offset")
+    mounting = find_mounting(arm, samples, drive=drive)
+    relief = relief_on_other_motions(mounting, samples, drive=drive)
+    assert mounting.is_tilted
+    assert relief is None or relief[0] > 0.0

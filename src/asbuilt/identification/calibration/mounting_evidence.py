@@ -10,6 +10,7 @@ import numpy as np
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.calibration.mounting import Mounting
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
@@ -37,7 +38,7 @@ def relief_on_other_motions(
 
     On groups of different motion that are held out in turn: links near CAD are fitted to the other
     groups with gravity as described and as estimated, and predict the group. None if there
-    are fewer than three groups.
+    are fewer than three groups, or a fit does not converge, as to torques without any noise.
     """
     drive = DriveSet(tuple(term for term in drive.terms if not term.needs_load))
     tilted = mounting.as_given.with_gravity(mounting.gravity)
@@ -52,15 +53,18 @@ def relief_on_other_motions(
         groups = different_motions(turned, weights)
         if len(groups) < FEWEST_GROUPS:
             return None
-        before, after = (
-            held_out_errors(
-                information,
-                lambda part: fit_toward_cad(part, prior, weight=WEIGHT, weights=weights).beta,
-                groups,
-            )[0]
-            @ weights**2
-            for information in (straight, turned)
-        )
+        try:
+            before, after = (
+                held_out_errors(
+                    information,
+                    lambda part: fit_toward_cad(part, prior, weight=WEIGHT, weights=weights).beta,
+                    groups,
+                )[0]
+                @ weights**2
+                for information in (straight, turned)
+            )
+        except IdentifiabilityError:
+            return None
     tiny = np.finfo(np.float64).tiny
     relief = np.log(np.maximum(before, tiny) / np.maximum(after, tiny))
     return float(relief.mean()), float(relief.std(ddof=1) / np.sqrt(len(relief)))

@@ -36,6 +36,9 @@ class GravityThresholds:
     """Least cosine in a direction that is no axis."""
     friction: float = 0.5
     """Mean correlation of torques with the directions of motion that shows their sign."""
+    fall: float = 2.0
+    """Fall of the misfit's logarithm, summed over joints, from which a robot is upside down, and
+    its torque not flipped, by its inertia alone."""
 
 
 THRESHOLDS = GravityThresholds()
@@ -46,7 +49,8 @@ def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
 
     The torques without gravity and those of gravity along each axis are compared with the measured
     ones, offset and friction taken out of all. The sign of friction distinguishes a flipped torque
-    from a robot upside down; without friction the torque is taken as flipped.
+    from a robot upside down; without it, torques that gravity does not dominate do. If they do
+    not decide, the torque is taken as flipped.
     """
     given = np.asarray(fit.model.gravity)
     if not given.any():
@@ -62,9 +66,10 @@ def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
             return None
     elif -now > THRESHOLDS.clear:
         along = -given
-    sign = _friction_sign(replace(fit, model=fit.model.with_gravity(along)))
+    mounted = replace(fit, model=fit.model.with_gravity(along))
+    sign = _friction_sign(mounted)
     parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
-    if parallel and sign <= 0.0:
+    if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - THRESHOLDS.fall)):
         return None
     gravity = along if sign >= 0.0 else -along
     cosine = abs(cosines.at(along))
