@@ -18,6 +18,7 @@ from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.delay_errors import DelayErrors, delay_errors
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
+from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearErrors,
     NonlinearPlace,
@@ -204,8 +205,12 @@ def fit_samples(
     block_seconds: float | None = None,
     threads: int | None = None,
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
+    expected: ExpectedScores | None = None,
 ) -> Fit:
-    """Estimate base parameters and their errors; arguments are those of `identify_samples`."""
+    """Estimate base parameters and their errors; arguments are those of `identify_samples`.
+
+    Scores that are expected of the true parameters are taken away (`expected`).
+    """
     if errors not in ERROR_KINDS:
         raise UsageError(f"errors {errors!r} is not one of {', '.join(ERROR_KINDS)}")
     if not samples:
@@ -216,23 +221,35 @@ def fit_samples(
         fitted = fit_nonlinear(model, drive, samples)
         drive, fitted_nonlinear = fitted.drive, fitted.places
     base = base or find_base_parameters(model, drive)
-    information = accumulate_stream(
-        model, base, samples, block_seconds=block_seconds, threads=threads
-    )
     design = design_values(model, base)
 
-    def estimated(seen: SquareRootInformation, loading: RobotModel | None = None) -> Estimate:
+    def reduced(loading: RobotModel) -> tuple[SquareRootInformation, tuple[Array, ...]]:
+        seen = accumulate_stream(
+            loading, base, samples, block_seconds=block_seconds, threads=threads
+        )
+        less = () if expected is None else expected.torques(seen)
+        return (seen.less(less) if less else seen), less
+
+    def estimated(
+        seen: SquareRootInformation, less: tuple[Array, ...], loading: RobotModel | None = None
+    ) -> Estimate:
         return estimator.estimate(
             EstimationData(
-                model, seen, samples, design, undetermined, block_seconds, loading=loading
+                model,
+                seen,
+                samples,
+                design,
+                undetermined,
+                block_seconds,
+                loading=loading,
+                less=less,
             )
         )
 
-    estimate = estimated(information)
+    information, less = reduced(model)
+    estimate = estimated(information, less)
     if base.drive.needs_load:
-        information, estimate = _with_own_load(
-            model, information, estimate, samples, estimated, block_seconds, threads
-        )
+        information, estimate = _with_own_load(model, information, estimate, reduced, estimated)
     nonlinear = None
     if fitted_nonlinear:
         nonlinear = nonlinear_errors(
@@ -290,19 +307,15 @@ def _with_own_load(
     model: RobotModel,
     information: SquareRootInformation,
     estimate: Estimate,
-    samples: Sequence[Samples],
-    estimated: Callable[[SquareRootInformation, RobotModel], Estimate],
-    block_seconds: float | None,
-    threads: int | None,
+    reduced: Callable[[RobotModel], tuple[SquareRootInformation, tuple[Array, ...]]],
+    estimated: Callable[[SquareRootInformation, tuple[Array, ...], RobotModel], Estimate],
 ) -> tuple[SquareRootInformation, Estimate]:
     """Repeat until the load that friction depends on is that of the estimate, not that of CAD."""
     base = information.base
     for _ in range(LOAD.most):
         loading = carrying(model, base, estimate.beta)
-        information = accumulate_stream(
-            loading, base, samples, block_seconds=block_seconds, threads=threads
-        )
-        renewed = estimated(information, loading)
+        information, less = reduced(loading)
+        renewed = estimated(information, less, loading)
         step = information.residual_energy(renewed.beta) / np.maximum(
             information.residual_energy(estimate.beta), np.finfo(np.float64).tiny
         )

@@ -20,6 +20,7 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
@@ -177,17 +178,23 @@ def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Sample
 
 
 def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
-    """Return a fit whose errors have that of the delay of a servo."""
-    if found is None or found.slopes is None:
+    """Return a fit whose errors have those of the delay of a servo and of what was taken away."""
+    if found is None:
         return fit
-    late = servo_delay_errors(
-        fit.information,
-        fit.estimate,
-        found.slopes,
-        found.servo.kp,
-        found.servo.delay or 0.0,
-        found.errors.delay,
-    )
+    late = None
+    if found.slopes is not None:
+        late = servo_delay_errors(
+            fit.information,
+            fit.estimate,
+            found.slopes,
+            found.servo.kp,
+            found.servo.delay or 0.0,
+            found.errors.delay,
+        )
+    if found.expected is not None:
+        doubt = found.expected.doubt(fit.information, fit.estimate)
+        late = late or DelayErrors(np.zeros_like(doubt), np.zeros(len(doubt)))
+        late = replace(late, covariance=late.covariance + doubt)
     return fit if late is None else replace(fit, delay=late)
 
 
@@ -260,6 +267,17 @@ def servo_findings(
                 " a sliding joint), which time that was not fitted confirms; the fit and"
                 " simulations have this deadband",
                 Cure("give the deadband if it is known"),
+            )
+        )
+    if found.expected is None:
+        findings.append(
+            Finding(
+                "servo_not_replayed",
+                "warning",
+                "The robot as identified diverges under the logged command, so that errors by noise"
+                " of the positions and by friction at reversals are not corrected: standard errors"
+                " are too small",
+                Cure("check the gains of the servo, and record more motion"),
             )
         )
     if found.unexplained:

@@ -21,13 +21,16 @@ from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     accumulate,
     accumulate_stream,
+    reduce_rows,
 )
 from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
 
@@ -313,3 +316,24 @@ def test_a_recording_read_in_pieces_gives_what_the_whole_gives(robot):
     assert streamed.n_samples == at_once.n_samples
     for a, b in zip(streamed.joint_factors, at_once.joint_factors, strict=True):
         assert np.allclose(a.T @ a, b.T @ b, rtol=0, atol=1e-8 * np.abs(a.T @ a).max())
+
+
+def test_expected_scores_are_taken_from_the_torque(robot):
+    model, base = robot
+    samples = recording(model)
+    information = accumulate(model, base, samples)
+    means, rng = [], np.random.default_rng(2)
+    for support, factor in zip(information.support, information.joint_factors, strict=True):
+        R = factor[:-1, :-1]
+        means.append(R.T @ R @ rng.normal(size=support.size) / information.n_samples)
+    names = tuple(tuple(base.names[j] for j in support) for support in information.support)
+    less = ExpectedScores(names, tuple(means)).torques(information)
+    changed = information.less(less)
+    for k, mean in enumerate(means):
+        before, after = (each.joint_factors[k] for each in (information, changed))
+        score = (before.T @ before - after.T @ after)[:-1, -1]
+        np.testing.assert_allclose(score, information.n_samples * mean, rtol=1e-6, atol=1e-6)
+    rows = EstimationData(model, information, [samples], less=less).rows
+    again = reduce_rows(base, model.joint_names, rows.support, rows)
+    for one, other in zip(changed.joint_factors, again.joint_factors, strict=True):
+        np.testing.assert_allclose(one.T @ one, other.T @ other, rtol=1e-9, atol=1e-6)

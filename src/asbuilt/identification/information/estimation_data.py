@@ -44,6 +44,9 @@ class EstimationData:
         Use the rows of every n-th time block alone.
     loading
         Robot whose rigid-body torque loads load-dependent friction; `model` if None.
+    less
+        Parameters of each joint (p_k,) whose torque was taken from the torque in `information`, and
+        is taken from that of the rows; empty: none.
     """
 
     model: RobotModel
@@ -54,6 +57,7 @@ class EstimationData:
     block_seconds: float | None = None
     every: int = 1
     loading: RobotModel | None = None
+    less: tuple[Array, ...] = ()
 
     @property
     def base(self) -> BaseParameters:
@@ -73,7 +77,14 @@ class EstimationData:
 
     def rows_of(self, samples: Iterable[Samples]) -> Rows:
         """Return the rows of other samples with the same time blocks."""
-        return Rows(self.loading or self.model, self.base, samples, self.block_seconds, self.every)
+        return Rows(
+            self.loading or self.model,
+            self.base,
+            samples,
+            self.block_seconds,
+            self.every,
+            self.less,
+        )
 
     @property
     def batches(self) -> Iterable[Samples]:

@@ -146,7 +146,8 @@ class Rows:
     """Iterate over the rows of samples block by block, any number of times.
 
     `support[k]` are the base parameters of joint k's columns. Few rows are kept in memory between
-    passes. `every` n takes each n-th block alone.
+    passes. `every` n takes each n-th block alone. The torque of parameters `less[k]` (p_k,) of each
+    joint is taken from its torque, if they are given.
     """
 
     def __init__(
@@ -156,7 +157,9 @@ class Rows:
         samples: Iterable[Samples],
         block_seconds: float | None = None,
         every: int = 1,
+        less: Sequence[Array] = (),
     ) -> None:
+        self._less = less
         self._plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
         self._samples = samples
         self._block_seconds = block_seconds
@@ -182,6 +185,8 @@ class Rows:
                 part.time,
                 part.seconds,
             )
+            for rows, x in zip(block.rows, self._less, strict=False):
+                rows[-1] -= x @ rows[:-1]
             if kept is not None:
                 size += sum(rows.nbytes for rows in block.rows)
                 kept.append(block)

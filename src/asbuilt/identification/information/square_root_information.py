@@ -7,7 +7,7 @@ import json
 from collections import deque
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 from zipfile import BadZipFile
@@ -133,6 +133,18 @@ class SquareRootInformation:
             self.torque_sum[chosen],
             tuple(self.blocks[b] for b in chosen),
         )
+
+    def less(self, torques: Sequence[Array]) -> SquareRootInformation:
+        """Return the information of `tau_k - W_k x_k`, with x_k (p_k,) in `torques`.
+
+        `torque_sum` stays that of the torque itself.
+        """
+        factors = []
+        for own, x in zip(self.factors, torques, strict=True):
+            changed = own.copy()
+            changed[:, :, -1] -= own[:, :, :-1] @ x
+            factors.append(changed)
+        return replace(self, factors=tuple(factors), torque_sum=self.torque_sum.copy())
 
     def merge(self, *others: SquareRootInformation) -> SquareRootInformation:
         """Return the information of this and other recordings of the same robot.

@@ -12,7 +12,9 @@ from scipy.optimize import lsq_linear
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.bodies.cad_prior import CadPrior
+from asbuilt.identification.errors.expected_scores import DOUBT
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
+from asbuilt.identification.servo.servo_replay import Replay
 from asbuilt.identification.servo.servo_rows import ServoRows
 from asbuilt.identification.servo.servo_scale import block_weights, clustered
 
@@ -59,12 +61,15 @@ def fit_delay(
     design: CadPrior,
     kp: Sequence[float],
     kd: Sequence[float],
+    replayed: Replay | None = None,
 ) -> DelayFit:
     """Fit `kp (u - q) - kd qd = W beta + step kp du/dt` with passive drives.
 
-    Links have a prior from CAD. Blocks weigh as in `find_scale`. The standard error comes from the
-    scores of time blocks, with everything that is not at its bound free (Frisch and Waugh,
-    Econometrica 1, 1933).
+    Links have a prior from CAD. What does not average out (`replayed`) is taken off the scores.
+    Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
+    everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933). It is at
+    least that of the noise that was replayed, or, without a replay, that of independent residuals;
+    what is taken off has an error too (`DOUBT`).
     """
     n, p = len(rows.support), base.n_standard
     prior = np.eye(p + 1) / RULES.drives**2
@@ -78,27 +83,37 @@ def fit_delay(
     lower[design.non_negative] = 0.0
     maps = [_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     weight = np.ones((n, len(rows.times)))
-    x = start
+    lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
+    x, scale = start, np.ones(n)
     for _ in range(RULES.passes):
         normal, right = prior.copy(), prior @ start
         for k, (J, torque) in enumerate(maps):
             weighted = J.T @ rows.total(k, weight[k])
             normal += weighted @ J
             right += weighted @ torque
+            if replayed is not None:
+                right -= float(weight[k] @ lengths) * (J[:-1].T @ replayed.weighted[k])
         x, free = _bounded(normal, right, lower)
         residuals = [torque - J @ x for J, torque in maps]
         for k, residual in enumerate(residuals):
             own = block_weights(rows, k, residual)
             energy = float(residual @ rows.total(k, own) @ residual)
-            weight[k] = own * float(own @ rows.counts[k]) / max(energy, 1e-300)
+            scale[k] = float(own @ rows.counts[k]) / max(energy, 1e-300)
+            weight[k] = own * scale[k]
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
-    scores = sum(
-        weight[k] * (rows.grams[k] @ residual @ (J[:, free] @ inverse))
-        for k, ((J, _), residual) in enumerate(zip(maps, residuals, strict=True))
-    )
-    variance, together = float(inverse[-1]), clustered(np.asarray(scores), rows)
+    scores, along, taken = np.zeros(len(rows.times)), [], 0.0
+    for k, ((J, _), residual) in enumerate(zip(maps, residuals, strict=True)):
+        along.append(J[:-1, free] @ inverse)
+        scores += weight[k] * ((rows.grams[k] @ residual)[:, :-1] @ along[k])
+        if replayed is not None:
+            own = weight[k] * lengths * float(replayed.weighted[k] @ along[k])
+            scores, taken = scores - own, taken + float(np.sum(own))
+    variance, together = float(inverse[-1]), clustered(scores, rows)
+    if replayed is not None:
+        variance = replayed.variance([scale[k] * each for k, each in enumerate(along)])
     if together.size >= FEWEST_BLOCKS:
         variance = max(variance, float(together @ together) * together.size / (together.size - 1))
+    variance += (DOUBT * taken) ** 2
     left = np.array([rows.variances(k, residual) for k, residual in enumerate(residuals)])
     usual = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.inf for each in left])
     excess = np.sqrt(np.max(np.nan_to_num(left / usual[:, None]), axis=0))

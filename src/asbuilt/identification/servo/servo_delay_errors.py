@@ -17,7 +17,7 @@ from asbuilt.identification.servo.servo_rows import ServoRows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DelaySlopes:
-    """Hold `sum of W_k du/dt` of each joint's rows by parameter name, per row.
+    """Hold `sum of W_k du/dt` of each joint's rows by parameter name, per sample.
 
     The torque `kp (u(t - d) - q)` falls by `kp du/dt` per delay.
     """
@@ -30,10 +30,11 @@ class DelaySlopes:
         """Return the slopes of rows whose time blocks count."""
         weight = np.array(counted, dtype=np.float64)
         names, means = [], []
+        count = float(weight @ [block.n_samples for block in rows.times])
         for k, support in enumerate(rows.support):
             gram = rows.total(k, weight)
             names.append(tuple(base.names[j] for j in support))
-            means.append(gram[: support.size, support.size + 1] / max(weight @ rows.counts[k], 1.0))
+            means.append(gram[: support.size, support.size + 1] / max(count, 1.0))
         return cls(tuple(names), tuple(means))
 
 

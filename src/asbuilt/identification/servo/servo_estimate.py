@@ -17,21 +17,27 @@ from asbuilt.experiment.command.magnitude import MagnitudeLaw, logged_magnitude_
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.deadband import Deadband, find_deadband, with_deadband
 from asbuilt.identification.servo.goal_limit import GoalLimit, find_goal_limit, limited
-from asbuilt.identification.servo.servo_delay import fit_delay
+from asbuilt.identification.servo.servo_delay import DelayFit, fit_delay
 from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
+from asbuilt.identification.servo.servo_replay import Replay, replay
 from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
 from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
 
 
 @dataclass(frozen=True, slots=True)
 class ServoIterations:
-    """Say when the delay has settled: at most so many steps, each below `convergence` [s]."""
+    """Say when the delay has settled: at most so many steps, each below `convergence` [s].
+
+    The recordings are replayed so many times, each with the servo that followed from the last.
+    """
 
     most: int = 12
+    replays: int = 2
     convergence: float = 2e-5
     longest: float = 0.2
 
@@ -49,7 +55,8 @@ class ServoEstimate:
     `goals` are the limits of the acceleration of its goal that the recordings show, None for one
     that shows none. The servo has a limit if all of them show one. `slopes` are how the torque
     follows the delay. `currents` are the laws of magnitudes that were logged beside the commands,
-    one per joint, empty if none were.
+    one per joint, empty if none were. `expected` is what does not average out of the recordings,
+    None if the replay that measures it diverged.
     """
 
     servo: PositionServo
@@ -58,6 +65,7 @@ class ServoEstimate:
     goals: tuple[GoalLimit | None, ...] = ()
     slopes: DelaySlopes | None = None
     currents: tuple[MagnitudeLaw | None, ...] = ()
+    expected: ExpectedScores | None = None
 
     def of_recording(self, number: int) -> PositionServo:
         """Return the servo with the limit of its goal in one of the recordings."""
@@ -71,6 +79,17 @@ class ServoEstimate:
         return replace(self.servo, goal_acceleration=tuple(found.tolist()))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Settled:
+    """Hold a servo with the standard error of its delay, and the fit that it rests on."""
+
+    servo: PositionServo
+    error: float
+    rows: ServoRows
+    scale: ServoScale | None
+    found: DelayFit
+
+
 def estimate_servo(
     model: RobotModel,
     recordings: Sequence[Recording],
@@ -82,6 +101,9 @@ def estimate_servo(
     holdout: str | None = None,
 ) -> ServoEstimate:
     """Identify what is unknown of the servo that all recordings have.
+
+    Noise of the positions and friction at reversals, which do not average out, are measured by a
+    replay of the recordings (`replay`) and taken away.
 
     Parameters
     ----------
@@ -108,8 +130,7 @@ def estimate_servo(
     links[10 * model.n_joints :] = 0.0
     unknown = np.isnan(np.array(first.kp))
     kd = np.nan_to_num(np.array(first.kd))
-    late, error, scale = 0.0 if delay is None else delay, 0.0, None
-    stated = first
+    stated, late = first, 0.0 if delay is None else delay
 
     def goal_of(recording: Recording) -> GoalLimit | None:
         plain = replace(recording, servo=limited(stated, np.inf))
@@ -127,33 +148,51 @@ def estimate_servo(
         for each, goal in zip(recordings, goals, strict=True)
     ]
     dead = _deadband(model, base, recordings, chain, late, holdout)
-    first = with_deadband(first, 0.0 if dead is None else dead.width)
+    stated = first = with_deadband(first, 0.0 if dead is None else dead.width)
     recordings = [
         replace(each, servo=with_deadband(each.servo, 0.0 if dead is None else dead.width))
         for each in recordings
         if each.servo is not None
     ]
-    for _ in range(ITERATIONS.most):
-        rows = servo_rows(model, base, recordings, chain, late, holdout)
-        kp, scale = _gains(rows, base, links, first, unknown, shared)
-        found = fit_delay(rows, base, design, kp.tolist(), kd.tolist())
-        if delay is not None:
+
+    def settled(late: float, replayed: Replay | None) -> _Settled:
+        """Return the gains and the delay that are found from a start."""
+        error = 0.0
+        for _ in range(ITERATIONS.most):
+            rows = servo_rows(model, base, recordings, chain, late, holdout)
+            kp, scale = _gains(rows, base, links, stated, unknown, shared)
+            found = fit_delay(rows, base, design, kp.tolist(), kd.tolist(), replayed)
+            if delay is not None:
+                break
+            late = float(np.clip(late + found.step, -ITERATIONS.longest, ITERATIONS.longest))
+            error = found.std_error
+            if abs(found.step) < max(ITERATIONS.convergence, 0.05 * error):
+                break
+        servo = replace(stated, kp=tuple(kp.tolist()), kd=tuple(kd.tolist()), delay=late)
+        return _Settled(servo, error, rows, scale, found)
+
+    at, replayed = settled(late, None), None
+    for last in (False,) * (ITERATIONS.replays - 1) + (True,):
+        replayed = replay(
+            model,
+            base,
+            recordings,
+            at.servo,
+            chain,
+            at.found.parameters,
+            holdout,
+            roughly=not last,
+        )
+        if replayed is None:
             break
-        late = float(np.clip(late + found.step, -ITERATIONS.longest, ITERATIONS.longest))
-        error = found.std_error
-        if abs(found.step) < max(ITERATIONS.convergence, 0.05 * error):
-            break
+        at = settled(at.servo.delay or 0.0, replayed)
+    scale, found = at.scale, at.found
     errors = np.zeros(model.n_joints) if scale is None else np.where(unknown, scale.std_errors, 0.0)
     return ServoEstimate(
-        replace(
-            limited(first, _common(goals)),
-            kp=tuple(kp.tolist()),
-            kd=tuple(kd.tolist()),
-            delay=late,
-        ),
+        limited(at.servo, _common(goals)),
         ServoErrors(
             kp=tuple(errors.tolist()),
-            delay=error,
+            delay=at.error,
             goal_acceleration=_common_error(goals),
             deadband=0.0 if dead is None else dead.std_error,
             goal_sought=tuple(bool(each) for each in np.isnan(np.array(first.goal_acceleration))),
@@ -168,12 +207,13 @@ def estimate_servo(
         ),
         tuple(
             block
-            for block, excess in zip(rows.times, found.excess, strict=True)
+            for block, excess in zip(at.rows.times, found.excess, strict=True)
             if excess > UNEXPLAINED
         ),
         goals,
-        DelaySlopes.of(rows, base, (found.excess <= UNEXPLAINED).tolist()),
+        DelaySlopes.of(at.rows, base, (found.excess <= UNEXPLAINED).tolist()),
         logged_magnitude_laws(recordings),
+        None if replayed is None else replayed.scores,
     )
 
 

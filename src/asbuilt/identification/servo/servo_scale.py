@@ -157,7 +157,7 @@ def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
 
 
 def clustered(scores: Array, rows: ServoRows) -> Array:
-    """Return the sums of scores (B,) over neighbouring blocks, `CLUSTER` at a time."""
+    """Return the sums of scores (B, ...) over neighbouring blocks, `CLUSTER` at a time."""
     sources = np.array([each.source for each in rows.times])
     firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
     return np.asarray(np.add.reduceat(scores, firsts))

@@ -135,6 +135,7 @@ def _fitted(
             block_seconds=options.block_seconds,
             threads=options.threads,
             fitted_nonlinear=choice.fitted,
+            expected=None if servo is None else servo.expected,
         )
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
         return with_delay_errors(fit, servo)

@@ -1,0 +1,302 @@
+"""What the signal chain makes of a motion that the model explains exactly: a replay of recordings.
+
+Velocities and accelerations are derivatives of filtered positions, and the torque of a command
+contains the positions too. So noise of the positions is in the regressor and in the torque alike,
+and dry friction changes sign between two samples. Neither averages out: with `e = tau - W beta` of
+the true robot, the mean of `W^T e` is not zero. It is measured on a recording that the robot as
+identified would have made under the same command, sampled at the same times with the same noise,
+where `e` is known (indirect inference: Gourieroux, Monfort & Renault, J. Applied Econometrics 8,
+1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import signal as signals
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.errors.expected_scores import ExpectedScores
+from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows
+from asbuilt.identification.servo.servo_scale import block_weights, clustered
+from asbuilt.identification.trajectories.drive_signal import DriveSignal
+from asbuilt.identification.trajectories.sensitivity import Trajectories
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.windows import Windows
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayRules:
+    """Settings of a replay: own choices.
+
+    Parameters
+    ----------
+    step
+        Longest step of the simulation [s].
+    steps_at_once
+        Steps after which the simulation begins anew from the state that it reached.
+    samples
+        Samples to replay in all, with noise and with its negative.
+    most_pairs
+        Most pairs of noise and its negative: what is linear in the noise, and so has no mean,
+        cancels.
+    window
+        Samples of a window of the spectra from which the noise follows.
+    above
+        Share of half the sampling rate above which positions are noise.
+    """
+
+    step: float = 1e-3
+    steps_at_once: int = 20_000
+    samples: int = 32_000
+    most_pairs: int = 4
+    window: int = 256
+    above: float = 0.4
+
+
+RULES = ReplayRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """Hold what replayed recordings leave in the scores `[W_k, qd, du/dt]^T e_k` of each joint.
+
+    `scores` are their means over samples; `weighted` (p_k + 2,) the means with blocks weighted as
+    in `find_scale`. `draws` (D, p_k + 2) are the weighted sums over clusters of blocks of what the
+    noise of `copies` copies changes, as many for each.
+    """
+
+    scores: ExpectedScores
+    weighted: tuple[Array, ...]
+    draws: tuple[Array, ...]
+    copies: int
+
+    def variance(self, along: Sequence[Array]) -> float:
+        """Return the variance by noise of `sum_k along_k @ scores_k`, scores weighted."""
+        moves = sum(draws @ x for draws, x in zip(self.draws, along, strict=True))
+        return float(np.sum(np.square(moves))) / max(self.copies - 1, 1)
+
+
+def replay(
+    model: RobotModel,
+    base: BaseParameters,
+    recordings: Sequence[Recording],
+    servo: PositionServo,
+    chain: SignalChain,
+    parameters: Array,
+    holdout: str | None = None,
+    *,
+    roughly: bool = False,
+) -> Replay | None:
+    """Replay recordings by a robot and return what does not average out; None if it diverges.
+
+    The columns are `[W_k, qd, du/dt]`.
+
+    Parameters
+    ----------
+    model, base
+        The robot and its base parameters.
+    recordings
+        Recordings with the servo that each had; of these its limits count.
+    servo
+        The servo, its gains and delay known.
+    chain
+        The signal chain, its cutoff settled.
+    parameters
+        Standard parameters of the robot to replay, (n_standard,).
+    holdout
+        A rule of `hold_out`: what to leave out.
+    roughly
+        With one pair of noise and its negative alone.
+    """
+    total = sum(each.n_samples for each in recordings)
+    pairs = 1 if roughly else min(max(round(RULES.samples / (2 * total)), 1), RULES.most_pairs)
+    rng, beta = np.random.default_rng(0), base.values(parameters)
+    copies: list[list[_Copy]] = []
+    for recording in recordings:
+        own = _servo_of(recording, servo)
+        clean = replayed(model, base, recording, own, parameters)
+        if clean is None:
+            return None
+        driven = [
+            driven_by_command(each, own) for each in _with_noise(recording, clean, pairs, rng)
+        ]
+        late = servo.delay or 0.0
+        copies.append(
+            [
+                _Copy.of(servo_rows(model, base, [each], chain, late, holdout), beta, servo)
+                for each in driven
+            ]
+        )
+    every = [copy for own in copies for copy in own]
+    names = tuple(tuple(base.names[j] for j in support) for support in every[0].support)
+    joints = range(model.n_joints)
+    return Replay(
+        ExpectedScores(names, tuple(_mean(every, k, weighted=False) for k in joints)),
+        tuple(_mean(every, k, weighted=True) for k in joints),
+        tuple(np.concatenate([_moves(own, k) for own in copies]) for k in joints),
+        2 * pairs,
+    )
+
+
+def replayed(
+    model: RobotModel,
+    base: BaseParameters,
+    recording: Recording,
+    servo: PositionServo,
+    parameters: Array,
+) -> Array | None:
+    """Return the positions (N, n) of a robot under the command of a recording; None if it diverges.
+
+    The steps of `stepping.simulate` are early by half a step, and their damping acts as that much
+    more armature. With both taken away they are of second order (the leapfrog method).
+    """
+    t, n = recording.t, model.n_joints
+    first = np.flatnonzero(np.all(np.isfinite(recording.q), axis=1) & np.isfinite(t))
+    if not first.size:
+        return None
+    h = RULES.step
+    values = parameters[10 * n :].reshape(n, -1)
+    robot = _centred(SimulatedRobot(model, base.drive, values, servo), h)
+    driving = DriveSignal.of(recording, "command")
+    engine = Trajectories(model, base)
+    q, v = recording.q[first[:1]], np.zeros((1, n))
+    begin, end = float(t[first[0]]), float(np.nanmax(t))
+    total = int(np.ceil((end - begin) / h)) + 1
+    out = np.full(recording.q.shape, np.nan)
+    for done in range(0, total, RULES.steps_at_once):
+        steps = min(RULES.steps_at_once, total - done)
+        start = begin + done * h
+        windows = Windows(
+            recording.source,
+            steps * h,
+            1.0 / h,
+            np.array([start]),
+            np.broadcast_to(q[:, None], (1, steps + 1, n)),
+            q,
+            v,
+            driving,
+            longest_step=h,
+        )
+        motion = engine.simulate(robot, windows, parameters[: 10 * n])
+        if not np.all(np.isfinite(motion.q)):
+            return None
+        inside = (t >= start) & (t <= start + steps * h)
+        fine = start + h * np.arange(steps + 1)
+        for k in range(n):
+            out[inside, k] = np.interp(t[inside], fine, motion.q[0, :, k])
+        q, v = motion.q[:, -1], motion.v[:, -1]
+    return out
+
+
+def position_noise(recording: Recording) -> Array:
+    """Return the standard deviation of white noise of the positions [rad or m], (n,).
+
+    Examples
+    --------
+    >>> t = np.arange(4000) / 100.0
+    >>> noise = 1e-3 * np.random.default_rng(0).standard_normal((4000, 1))
+    >>> q = np.sin(2.0 * np.pi * t)[:, None] + noise
+    >>> round(1e3 * position_noise(Recording(t=t, q=q, tau=q))[0], 1)
+    1.0
+    """
+    q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
+    if len(q) < RULES.window:
+        return np.zeros(recording.q.shape[1])
+    frequency, density = signals.welch(
+        q, 2.0, window="hann", nperseg=RULES.window, detrend="constant", axis=0
+    )
+    return np.asarray(np.sqrt(np.mean(density[frequency > RULES.above], axis=0)))
+
+
+def _servo_of(recording: Recording, servo: PositionServo) -> PositionServo:
+    """Return the servo with the limits of its goal in a recording."""
+    own = recording.servo
+    if own is None:
+        return servo
+    return replace(servo, goal_acceleration=own.goal_acceleration, goal_speed=own.goal_speed)
+
+
+def _centred(robot: SimulatedRobot, h: float) -> SimulatedRobot:
+    """Return the robot whose steps of h [s] are those of the leapfrog method."""
+    servo, values, place = robot.servo, robot.values.copy(), 0
+    columns = {}
+    for term in robot.drive.terms:
+        columns[term.key] = place
+        place += len(term.symbols)
+    damping = robot.stiffness[1].copy()
+    if "viscous" in columns:
+        damping += values[:, columns["viscous"]]
+    if "armature" in columns:
+        values[:, columns["armature"]] -= 0.5 * h * damping
+    if servo is not None:
+        servo = replace(servo, delay=robot.delay + 0.5 * h)
+    return replace(robot, values=values, servo=servo)
+
+
+def _with_noise(
+    recording: Recording, clean: Array, pairs: int, rng: np.random.Generator
+) -> Iterator[Recording]:
+    """Yield the recording with clean positions and noise of either sign."""
+    noise = position_noise(recording)
+    for _ in range(pairs):
+        added = noise * rng.standard_normal(clean.shape)
+        for sign in (1.0, -1.0):
+            yield replace(recording, q=clean + sign * added, qd=None, qdd=None, extra={})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Copy:
+    """Hold the scores of each joint's blocks (B, p_k + 2) of a replayed recording.
+
+    `weights` (n, B) are those of the blocks, `lengths` (B,) their samples.
+    """
+
+    rows: ServoRows
+    scores: tuple[Array, ...]
+    weights: Array
+    lengths: Array
+
+    @classmethod
+    def of(cls, rows: ServoRows, beta: Array, servo: PositionServo) -> _Copy:
+        """Return the scores `[W_k, qd, du/dt]^T e_k` of the robot with these base parameters."""
+        scores, weights = [], []
+        for k, own in enumerate(rows.support):
+            e = np.zeros(own.size + 3)
+            e[: own.size], e[own.size], e[-1] = -beta[own], -servo.kd[k], servo.kp[k]
+            scores.append((rows.grams[k] @ e)[:, :-1])
+            weights.append(block_weights(rows, k, e))
+        lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
+        return cls(rows, tuple(scores), np.array(weights), lengths)
+
+    @property
+    def support(self) -> tuple[Indices, ...]:
+        """Base parameters of each joint's columns."""
+        return self.rows.support
+
+
+def _mean(copies: Sequence[_Copy], k: int, *, weighted: bool) -> Array:
+    """Return the mean score of a joint over the samples of all copies (p_k + 2,)."""
+    weights = [copy.weights[k] if weighted else np.ones(copy.lengths.size) for copy in copies]
+    total = sum(float(w @ copy.lengths) for w, copy in zip(weights, copies, strict=True))
+    parts = [w @ copy.scores[k] for w, copy in zip(weights, copies, strict=True)]
+    return np.asarray(np.sum(parts, axis=0) / max(total, 1e-300))
+
+
+def _moves(copies: Sequence[_Copy], k: int) -> Array:
+    """Return what noise changes in the weighted scores of a joint's clusters of blocks.
+
+    None if the copies have other blocks each, since some rest where others move.
+    """
+    if len({copy.lengths.size for copy in copies}) > 1:
+        return np.zeros((0, copies[0].scores[k].shape[1]))
+    sums = np.array([clustered(c.weights[k][:, None] * c.scores[k], c.rows) for c in copies])
+    return np.asarray(np.concatenate(sums - sums.mean(axis=0)))
