@@ -38,8 +38,7 @@ def test_a_regularised_estimate_moves_as_its_own_normal_equations_do() -> None:
         information=None, weights=None, solution=SimpleNamespace(inverse_root=root)
     )
     moved = np.linalg.solve(W.T @ W + weight * np.eye(4), W.T @ (W @ bias))
-    found = moved_estimate(information, estimate, np.outer(bias, bias))
-    np.testing.assert_allclose(found, np.outer(moved, moved), rtol=1e-10)
+    np.testing.assert_allclose(moved_estimate(information, estimate) @ bias, moved, rtol=1e-10)
 
 
 def test_shrunken_effects_are_the_draws_that_explain_what_was_estimated() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -67,3 +69,27 @@ def test_two_blocks_are_too_short_for_a_verdict() -> None:
     assert verdict.joints[0].sigmas is None
     assert verdict.sentence.endswith("too short for a verdict.")
     assert not verdict.is_worse
+
+
+def test_one_block_of_fast_motion_does_not_hide_a_better_model() -> None:
+    alike = predicted((0.02, 0.02), (0.5, 0.5))
+    sizes = np.where(np.arange(N) // 100 == 7, 30.0, 1.0)[:, None]
+    measured, built, cad = (
+        sizes * each for each in (alike.measured, alike.predicted, alike.predicted_cad)
+    )
+    found = cad_verdict(replace(alike, measured=measured, predicted=built, predicted_cad=cad))
+    assert [joint.outcome for joint in found.joints] == ["better", "better"]
+    gains = np.mean((cad - measured) ** 2, axis=1) - np.mean((built - measured) ** 2, axis=1)
+    assert stats.ttest_1samp(gains.reshape(20, -1).mean(axis=1), 0.0).pvalue > 0.2
+
+
+def test_an_order_that_the_errors_do_not_have_is_undecided() -> None:
+    alike = predicted((0.2, 0.2), (0.5, 0.5))
+    once = np.where(np.arange(N) // 100 == 3, 100.0, 0.0)[:, None]
+    found = cad_verdict(replace(alike, predicted=alike.predicted + once))
+    assert [joint.outcome for joint in found.joints] == ["undecided", "undecided"]
+
+
+def test_without_cad_masses_there_is_no_verdict() -> None:
+    alike = predicted((0.2, 0.2), (0.5, 0.5))
+    assert cad_verdict_findings([replace(alike, predicted_cad=np.zeros((N, 2)))]) == ()

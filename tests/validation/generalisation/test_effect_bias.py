@@ -15,8 +15,10 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.identification.errors.block_scatter import widening
 from asbuilt.identification.errors.error_basis import ErrorKind
 from asbuilt.identification.identify import Fit, fit_samples, identify_samples
+from asbuilt.validation.comparison.equal_terms import Between, ComparedValues
 from asbuilt.validation.generalisation.effect_bias import with_effects
 from asbuilt.validation.generalisation.missing_effects import TILT, MissingEffect
 from asbuilt.workflow.options import StudyOptions
@@ -107,3 +109,30 @@ def test_intervals_hold_the_truth_under_friction_that_the_model_lacks() -> None:
         assert "Standard errors include their bias" in finding.message
     assert np.mean(held) >= 0.93
     assert np.mean(narrow) < 0.8
+
+
+def test_the_bias_that_two_results_share_is_no_error_of_their_difference() -> None:
+    pair = [
+        with_effects(fit, [data], SHOWN).concluded(*fit.metrics([data]))
+        for data in (samples(1), samples(2))
+        for fit in (fitted(data),)
+    ]
+    one, two = ComparedValues.own(pair[0]), ComparedValues.own(pair[1])
+    places = list(range(len(one.estimates)))
+    between = Between(one, two, places, places)
+    alone = np.hypot(one.std_errors, two.std_errors)
+    plain = [
+        ComparedValues.own(identify_samples(MODEL, data, drive=FITTED))
+        for data in (samples(1), samples(2))
+    ]
+    scatter = Between(*plain, places, places).std_errors
+    biased = alone > 3.0 * scatter
+    assert np.sum(biased) >= 3
+    assert np.all(between.std_errors[biased] < 0.5 * alone[biased])
+    assert np.all(between.std_errors > 0.99 * scatter)
+    swapped = Between(two, one, places, places)
+    np.testing.assert_allclose(swapped.std_errors, between.std_errors, rtol=1e-12)
+    test = between.test(np.ones(len(places), dtype=np.bool_))
+    assert 0.001 < test.probability < 0.999
+    narrow = between.std_errors / widening(between.degrees_of_freedom)
+    np.testing.assert_allclose(np.sqrt(np.diag(between.covariance)), narrow, rtol=1e-6)

@@ -46,11 +46,15 @@ class BlockScatter:
         Degrees of freedom of each variance (Satterthwaite), shape (p,), without
     common_variance
         the relative variance of a factor that is common to all.
+    bias
+        The bias by effects that the model lacks, (p,), which is the last row of `moves`. In the
+        difference of two estimates it is the difference of both.
     """
 
     moves: Array = field(metadata=stored(encode=_packed, decode=_unpacked))
     degrees_alone: Array
     common_variance: float = 0.0
+    bias: Array | None = None
 
     def __post_init__(self) -> None:
         if self.moves.ndim != 2 or self.degrees_alone.shape != self.moves.shape[1:]:
@@ -58,8 +62,9 @@ class BlockScatter:
                 f"block errors {self.moves.shape} need one number of degrees of freedom for each"
                 f" parameter, got {self.degrees_alone.shape}; identify again"
             )
-        for values in (self.moves, self.degrees_alone):
-            values.setflags(write=False)
+        for values in (self.moves, self.degrees_alone, self.bias):
+            if values is not None:
+                values.setflags(write=False)
 
     @property
     def degrees_of_freedom(self) -> Array:
@@ -73,14 +78,23 @@ class BlockScatter:
         first = np.flatnonzero(np.diff(group, prepend=-1))
         return cls(np.add.reduceat(moves, first, axis=0), degrees_alone, common_variance)
 
-    def beside(self, covariance: Array) -> BlockScatter:
-        """Return the scatter with independent errors of a further covariance (p, p)."""
-        values, axes = np.linalg.eigh(covariance)
+    @property
+    def without_bias(self) -> Array:
+        """The moves without the bias, (B, p)."""
+        return self.moves if self.bias is None else self.moves[:-1]
+
+    def beside(self, covariance: Array, bias: Array | None = None) -> BlockScatter:
+        """Return the scatter with further errors of covariance (p, p).
+
+        If they include the square of a bias (p,), that is one move; the others are independent.
+        """
+        own = np.zeros_like(covariance) if bias is None else np.outer(bias, bias)
+        values, axes = np.linalg.eigh(covariance - own)
         kept = values > 1e-12 * max(float(values[-1]), 0.0)
-        further = (axes[:, kept] * np.sqrt(values[kept])).T
-        return BlockScatter(
-            np.vstack([self.moves, further]), self.degrees_alone, self.common_variance
-        )
+        moves = [self.moves, (axes[:, kept] * np.sqrt(values[kept])).T]
+        if bias is not None:
+            moves.append(bias[None])
+        return BlockScatter(np.vstack(moves), self.degrees_alone, self.common_variance, bias)
 
 
 def widening(degrees_of_freedom: Array) -> Array:

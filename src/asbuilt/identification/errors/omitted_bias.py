@@ -13,7 +13,7 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OmittedBias:
-    """Hold the second moment (p, p) of the bias of base parameters, which adds to covariances.
+    """Hold the bias of base parameters and its second moment, which adds to covariances.
 
     A bias b with covariance V has `b b^T + V`. An estimate that is not corrected for a known bias
     has the root of the sum of squares of bias and standard error as its error (Phillips, Eberhardt
@@ -21,15 +21,17 @@ class OmittedBias:
 
     Parameters
     ----------
-    covariance
-        Of the estimate, such as a regularised one.
-    free_covariance
-        Of weighted least squares.
+    bias, covariance
+        Bias (p,) and second moment (p, p) of the estimate, such as a regularised one.
+    free_bias, free_covariance
+        Those of weighted least squares.
     effects
         The effects, as text.
     """
 
+    bias: Array
     covariance: Array
+    free_bias: Array
     free_covariance: Array
     effects: str
 
@@ -71,16 +73,12 @@ def shrunken(effects: Array, covariance: Array, size: Array) -> tuple[Array, Arr
     return np.asarray(effects - gain @ effects), np.asarray(0.5 * (spread + spread.T))
 
 
-def moved_estimate(
-    information: SquareRootInformation, estimate: Estimate, covariance: Array
-) -> Array:
-    """Return the second moment (p, p) of an estimate's bias for that of weighted least squares.
+def moved_estimate(information: SquareRootInformation, estimate: Estimate) -> Array:
+    """Return how an estimate moves (p, p) where weighted least squares moves.
 
     An estimate with inverse root S moves by `S S^T W^T W b` where weighted least squares moves by
     b: regularisation holds part of it back.
     """
     seen = (estimate.information or information).stacked(estimate.weights)[:-1, :-1]
     root = estimate.solution.inverse_root
-    T = root @ (seen @ root).T @ seen
-    moved = T @ covariance @ T.T
-    return np.asarray(0.5 * (moved + moved.T))
+    return np.asarray(root @ (seen @ root).T @ seen)

@@ -102,7 +102,11 @@ def conclude(
         uncertainty = replace(
             uncertainty,
             covariance=uncertainty.covariance + beside,
-            scatter=None if scatter is None else scatter.beside(beside),
+            scatter=(
+                None
+                if scatter is None
+                else scatter.beside(beside, None if omitted is None else omitted.bias)
+            ),
         )
     parameters = _parameters(information, estimate, uncertainty, design)
     try:
@@ -149,6 +153,7 @@ def conclude(
                 information,
                 design,
                 np.sum(free_errors, axis=0) if free_errors else None,
+                None if omitted is None else omitted.free_bias,
             )
         ),
         **({"provenance": ()} | further),

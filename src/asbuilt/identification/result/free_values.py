@@ -46,7 +46,10 @@ class FreeValues:
 
 
 def free_values(
-    information: SquareRootInformation, toward: ArrayLike, beside: Array | None = None
+    information: SquareRootInformation,
+    toward: ArrayLike,
+    beside: Array | None = None,
+    bias: Array | None = None,
 ) -> FreeValues:
     """Fit by `wls` with errors from time blocks.
 
@@ -58,13 +61,15 @@ def free_values(
         Values (p,) of directions that the recordings leave undetermined; NaN counts as zero.
     beside
         Covariance (p, p) that other things add, such as fitted nonlinear parameters.
+    bias
+        Bias (p,) whose square is part of it.
     """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
     uncertainty = block_uncertainty(information, fitted)
     covariance, scatter = uncertainty.covariance, uncertainty.scatter
     if beside is not None:
         covariance = covariance + beside
-        scatter = None if scatter is None else scatter.beside(beside)
+        scatter = None if scatter is None else scatter.beside(beside, bias)
     return FreeValues(
         fitted.beta,
         0.5 * (covariance + covariance.T),

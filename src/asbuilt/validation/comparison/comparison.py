@@ -107,6 +107,9 @@ class Comparison:
 
     def verdict(self) -> str:
         """Return the outcome in one or two sentences."""
+        if not self.n_compared:
+            text = "No parameter has a CAD value."
+            return f"{text} {self._torque_as_built()}" if self.torque else text
         text = (
             f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ"
             f" ({self.rule()})."
@@ -120,13 +123,17 @@ class Comparison:
             return text
         cad, built = self.torque[0]
         if cad is None:
-            return (
-                f"{text} Torque error as built {share(built.relative_error)} on"
-                f" {recording_name(built.source)}."
-            )
+            return f"{text} {self._torque_as_built()}"
         return (
             f"{text} Torque error on {recording_name(built.source)}: CAD"
             f" {share(cad.relative_error)}, as built {share(built.relative_error)}."
+        )
+
+    def _torque_as_built(self) -> str:
+        built = self.torque[0][1]
+        return (
+            f"Torque error as built {share(built.relative_error)} on"
+            f" {recording_name(built.source)}."
         )
 
     def rule(self) -> str:

@@ -130,7 +130,11 @@ class ComparedValues:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Between:
-    """Hold the difference of two independent sets of values, at the places `one` and `two`."""
+    """Hold the difference of two independent sets of values, at the places `one` and `two`.
+
+    A bias by effects that the model lacks is not independent: both have it, and the difference has
+    the difference of both.
+    """
 
     first: ComparedValues
     second: ComparedValues
@@ -171,7 +175,11 @@ class Between:
             together = self._sum(self.first.even_covariance, self.second.even_covariance)
             return chi_square(d, together[own])
         textbook = self._sum(self.first.textbook_covariance, self.second.textbook_covariance)
-        moves = [self.first.scatter.moves[:, self.one], self.second.scatter.moves[:, self.two]]
+        moves = [
+            self.first.scatter.without_bias[:, self.one],
+            self.second.scatter.without_bias[:, self.two],
+            np.subtract(*self._biases)[None],
+        ]
         alone = summed_degrees(
             (self.first.variances[self.one], self.first.scatter.degrees_alone[self.one]),
             (self.second.variances[self.two], self.second.scatter.degrees_alone[self.two]),
@@ -186,7 +194,28 @@ class Between:
 
     @property
     def _variances(self) -> Array:
-        return self.first.variances[self.one] + self.second.variances[self.two]
+        first, second = self._biases
+        together = self.first.variances[self.one] + self.second.variances[self.two]
+        return np.asarray(together - 2.0 * self._narrow(first * second))
+
+    @property
+    def _biases(self) -> tuple[Array, Array]:
+        """Return the biases of both that are in their errors, (p,) each."""
+        first, second = (
+            np.zeros(len(places))
+            if values.scatter is None or values.scatter.bias is None
+            else values.scatter.bias[places]
+            for values, places in ((self.first, self.one), (self.second, self.two))
+        )
+        return first, second
+
+    def _narrow(self, products: Array) -> Array:
+        """Return products of both sets of values without the widening of both errors."""
+        one, two = (
+            widening(values.degrees_of_freedom[places])
+            for values, places in ((self.first, self.one), (self.second, self.two))
+        )
+        return np.asarray(products / (np.outer(one, two) if products.ndim == 2 else one * two))
 
     def _sum(self, first: Array, second: Array, *, narrow: bool = False) -> Array:
         one, two = first[np.ix_(self.one, self.one)], second[np.ix_(self.two, self.two)]
@@ -195,7 +224,9 @@ class Between:
             one = one / np.outer(wide, wide)
             wide = widening(self.second.degrees_of_freedom[self.two])
             two = two / np.outer(wide, wide)
-        return np.asarray(one + two)
+        shared = np.outer(*self._biases)
+        shared = self._narrow(shared) if narrow else shared
+        return np.asarray(one + two - shared - shared.T)
 
 
 def tested_values(result: IdentificationResult) -> ComparedValues:

@@ -43,8 +43,9 @@ RULE = VerdictRule()
 class JointVerdict:
     """Hold the RMS torque errors at a joint, CAD's and as built, and how sure their order is.
 
-    `sigmas` is the mean over time blocks of CAD's squared error minus that as built, in its
-    standard errors: positive if the model as built is better. None with fewer than three blocks.
+    `sigmas` is the mean over time blocks of CAD's squared error minus that as built, over the sum
+    of both, in its standard errors: positive if the model as built is better. None with fewer than
+    three blocks.
     `p_value` is by Student's distribution, `holm` for as many joints.
     """
 
@@ -108,15 +109,18 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
 
     The mean difference of B blocks over its standard error has Student's distribution with B - 1
     degrees of freedom (paired comparison; Diebold & Mariano, J. Business & Economic Statistics 13,
-    1995, with blocks in place of a spectral estimate).
+    1995, with blocks in place of a spectral estimate). Differences are those over the sum of both
+    squared errors: of few blocks one of fast motion would otherwise be all of the mean, and of its
+    standard error. An order that the RMS errors do not have is undecided.
     """
     cad = validation.measured - validation.predicted_cad
     built = validation.error
     block = _blocks(validation.t)
-    gains = _means(cad**2 - built**2, block)
-    scale = np.maximum(np.mean(cad**2, axis=0), np.finfo(np.float64).tiny)
-    columns = np.column_stack([gains, np.mean(gains / scale, axis=1)])
-    sigmas, p = _student(columns)
+    tiny = np.finfo(np.float64).tiny
+    scale = np.maximum(np.mean(cad**2, axis=0), tiny)
+    by_cad, as_built = _means(cad**2, block), _means(built**2, block)
+    gains = (by_cad - as_built) / np.maximum(by_cad + as_built, tiny)
+    sigmas, p = _student(np.column_stack([gains, gains.mean(axis=1)]))
     strict = holm(p[:-1]) if len(p) > 1 else p
     relative = np.sqrt(np.mean(built**2, axis=0) / scale)
     joints = tuple(
@@ -139,8 +143,8 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
 
 
 def cad_verdict_findings(validations: Sequence[Validation]) -> tuple[Finding, ...]:
-    """Return the verdict on each recording that was not used to fit."""
-    found = [cad_verdict(validation) for validation in validations]
+    """Return the verdict on each recording that was not used to fit; none if CAD has no torque."""
+    found = [cad_verdict(each) for each in validations if np.any(each.predicted_cad)]
     return tuple(
         Finding("verdict_against_cad", "info", verdict.sentence.rstrip(".")) for verdict in found
     )
@@ -165,13 +169,9 @@ def _blocks(t: Array) -> Array:
 
 
 def _means(values: Array, block: Array) -> Array:
-    """Return the means (B, n) of values (N, n) of each block, scaled so that their mean is all's.
-
-    Blocks of a few samples have little weight.
-    """
-    count = np.bincount(block).astype(np.float64)
+    """Return the means (B, n) of values (N, n) of each block."""
     sums = np.column_stack([np.bincount(block, weights=column) for column in values.T])
-    return np.asarray(sums * (len(count) / count.sum()))
+    return np.asarray(sums / np.bincount(block)[:, None])
 
 
 def _student(gains: Array) -> tuple[Array, Array]:
@@ -188,7 +188,7 @@ def _verdict(
     joint: str, unit: str, cad: float, built: float, sigmas: float, p: float, strict: float
 ) -> JointVerdict:
     known = bool(np.isfinite(sigmas))
-    sure = known and strict <= RULE.level
+    sure = known and strict <= RULE.level and (sigmas > 0) == (built < cad)
     outcome: Outcome = "undecided" if not sure else "better" if sigmas > 0 else "worse"
     if not known:
         return JointVerdict(joint, unit, cad, built, None, None, None, outcome)

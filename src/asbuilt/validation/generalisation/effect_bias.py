@@ -52,20 +52,29 @@ def with_effects(
     if not effects or fit.uncertainty.basis.asked == "textbook":
         return fit
     try:
-        second_moment = _second_moment(fit, training, effects, block_seconds)
-        covariance = moved_estimate(fit.information, fit.estimate, second_moment)
+        bias, spread = _bias(fit, training, effects, block_seconds)
+        moved = moved_estimate(fit.information, fit.estimate)
     except (AsbuiltError, np.linalg.LinAlgError):
         return fit
-    return replace(fit, omitted=OmittedBias(covariance, second_moment, effects_text(effects)))
+    own = moved @ bias
+    covariance = np.outer(own, own) + moved @ spread @ moved.T
+    omitted = OmittedBias(
+        bias=own,
+        covariance=0.5 * (covariance + covariance.T),
+        free_bias=bias,
+        free_covariance=np.outer(bias, bias) + spread,
+        effects=effects_text(effects),
+    )
+    return replace(fit, omitted=omitted)
 
 
-def _second_moment(
+def _bias(
     fit: Fit,
     training: Sequence[Samples],
     effects: Sequence[MissingEffect],
     block_seconds: float | None,
-) -> Array:
-    """Return `b b^T + V` (p, p) of the bias b of weighted least squares."""
+) -> tuple[Array, Array]:
+    """Return the bias (p,) of weighted least squares and its covariance (p, p)."""
     drive = fit.base.drive
     for key in dict.fromkeys(each.effect for each in effects if each.joint is not None):
         drive = with_term(drive, key, range(len(fit.model.joint_names)))
@@ -93,7 +102,7 @@ def _second_moment(
         follows = tilt.follows[own]
         bias[kept] -= follows @ tilt.increments
         V[np.ix_(kept, kept)] += follows @ tilt.covariance @ follows.T
-    return np.outer(bias, bias) + V
+    return bias, V
 
 
 def _usual_sizes(

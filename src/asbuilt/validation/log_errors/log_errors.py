@@ -16,6 +16,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.generalisation.effect_evidence import plain_fit
@@ -115,7 +116,8 @@ def log_errors(
     block_seconds
         Length of the time blocks of standard errors [s].
 
-    Samples that cannot be fitted again, such as too few, show none.
+    Samples that cannot be fitted again show none, nor do fewer time blocks than standard errors
+    need.
     """
     if not training:
         return ()
@@ -393,8 +395,10 @@ class _Search:
                         score += x @ e
                         square += float(e @ e)
                 parts.append((gram, score, square))
-        if not parts:
-            raise IdentifiabilityError(f"no samples of {model.name} are long enough for a block")
+        if len(parts) < FEWEST_BLOCKS:
+            raise IdentifiabilityError(
+                f"{len(parts)} time blocks of {model.name} are too few for standard errors"
+            )
         grams, scores, squares = map(np.array, zip(*parts, strict=True))
         return columns, BlockEquations(grams, scores, squares, r)
 
