@@ -58,4 +58,4 @@ def test_a_parameter_that_cad_is_silent_on_never_differs(example: Any) -> None:
     silent = tuple(replace(p, cad=float("nan")) for p in example.result.parameters)
     comparison = compare(replace(example.result, parameters=silent))
     assert comparison.n_compared == 0
-    assert comparison.verdict().startswith("0 of 0")
+    assert comparison.verdict().startswith("No parameter has a CAD value.")
