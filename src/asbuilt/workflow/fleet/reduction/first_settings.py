@@ -50,7 +50,14 @@ def choose_settings(
         If drive terms depend on the load, which differs from estimate to estimate.
     """
     model, read = read_logs(described, [path for files in logs for path in files], reading)
-    prepared = prepare(model, read, chain=options.chain, checked=options.checked, tolerated=())
+    prepared = prepare(
+        model,
+        read,
+        chain=options.chain,
+        checked=options.checked,
+        tolerated=(),
+        estimate_delay=head_of(read[0]).torque_source != "command",
+    )
     choice = settle_drive(model, prepared.training, options.drive)
     if choice.drive.needs_load:
         raise UsageError(
@@ -61,6 +68,8 @@ def choose_settings(
     chain = prepared.chain or SignalChain()
     names = joined([files[0].name for files in logs], most=3)
     cutoff = "" if chain.cutoff is None else f", cutoff {chain.cutoff:.3g} Hz"
+    late = ", ".join(f"{1e3 * each:.3g}" for each in chain.delays)
+    delay = f", torque {late} ms late" if late else ""
     return TypeSettings(
         robot_type=robot_type or robot_type_of(described),
         generation=generation,
@@ -72,7 +81,7 @@ def choose_settings(
         asked_drive=None if options.drive is None else str(options.drive),
         asked_chain=options.chain or SignalChain(),
         chosen=(
-            f"drive terms {choice.drive}{cutoff}; chosen from {names}",
+            f"drive terms {choice.drive}{cutoff}{delay}; chosen from {names}",
             *choice.sentences,
         ),
     )
