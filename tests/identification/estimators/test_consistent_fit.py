@@ -103,7 +103,7 @@ def test_given_weight_bounds_and_joint_weights(trial):
             weights=np.full(6, 2.0),
         )
         assert estimate.prior_weight == 50.0
-        assert estimate.notes[0] == "weight of CAD 50, as given"
+        assert estimate.notes[0] == "weight of CAD 50"
         assert 2.0 - 1e-6 <= estimate.standard[59] <= 3.0 + 1e-6
         np.testing.assert_array_equal(estimate.weights, 2.0)
     with pytest.raises(UsageError, match="entropic, euclidean"):

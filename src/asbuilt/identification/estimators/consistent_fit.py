@@ -191,7 +191,7 @@ def fit_toward_cad(
             choice = choose_weight(information, w, base.regrouping, roughly)
             chosen, reason = choice.weight, choice.reason
         else:
-            chosen, reason = float(weight), f"weight of CAD {weight:g}, as given"
+            chosen, reason = float(weight), f"weight of CAD {weight:g}"
         return _estimate(
             metric,
             information,

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.dynamics.drives.terms.spring import Spring
-from asbuilt.findings import Cure, Finding
+from asbuilt.errors import AsbuiltError
+from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.calibration.mounting import Mounting
 from asbuilt.validation.log_errors.error_columns import Kind
 from asbuilt.validation.log_errors.log_errors import LogError, log_errors
+from asbuilt.validation.log_errors.plateaus import Plateau, plateaus, without_plateaus
 from asbuilt.validation.prediction import torque_units
 
 if TYPE_CHECKING:
@@ -36,8 +38,44 @@ def log_error_findings(
     Springs, which are errors of the model, are named with them unless `springs` says that they are
     already. The mounting is that of `log_errors`.
     """
-    found = log_errors(result, training, mounting=mounting, block_seconds=block_seconds)
-    return tuple(_findings(result, found, springs))
+    flat = _plateaus(result, training, block_seconds)
+    rest = without_plateaus(training, flat) if flat else training
+    found = log_errors(result, rest, mounting=mounting, block_seconds=block_seconds)
+    held = sorted({each.joint for each in flat})
+    named = [result.joint_names[joint] for joint in held]
+    others = [each for each in found if each.kind != "nonlinear" or each.joint not in named]
+    return (
+        *(_saturated(result, joint, flat) for joint in held),
+        *_findings(result, others, springs),
+    )
+
+
+def _plateaus(
+    result: IdentificationResult, training: Sequence[Samples], block_seconds: float | None
+) -> tuple[Plateau, ...]:
+    """Return the torques that saturate, none where the samples cannot be fitted again."""
+    try:
+        return plateaus(result.model, result.base, training, block_seconds)
+    except (AsbuiltError, np.linalg.LinAlgError):
+        return ()
+
+
+def _saturated(result: IdentificationResult, joint: int, flat: Sequence[Plateau]) -> Finding:
+    own = [each for each in flat if each.joint == joint]
+    name, unit = result.joint_names[joint], torque_units(result.model)[joint]
+    levels = joined([f"{each.level:.4g}" for each in own])
+    implied = joined([f"{each.implied:.4g}" for each in own])
+    return Finding(
+        "torque_saturates",
+        "warning",
+        f"The torque of {name} stays at {levels} {unit} where its motion, by a fit to the rest of"
+        f" the log, asks for up to {implied} {unit}: the drive or the sensor saturates",
+        Cure(
+            "leave these times out by [[windows]] in a recording sheet, record a gentler motion, or"
+            " check the range of the sensor"
+        ),
+        joint=name,
+    )
 
 
 def _findings(

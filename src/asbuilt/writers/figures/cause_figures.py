@@ -35,8 +35,11 @@ CAUSE_COLOURS: dict[str, str] = {
 }
 """One colour per cause, after Okabe and Ito (2008)."""
 UNEXPLAINED = "#D5D9DE"
-LABELLED = 0.09
-"""Smallest share that is labelled with its number."""
+LABELLED = 0.035
+"""Smallest share that is labelled with its number, as a part of the axis."""
+CUT = 3.0
+"""Share at which the axis ends: at a joint with almost no error the causes cancel, and their shares
+have no bound."""
 
 
 def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
@@ -47,6 +50,7 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
         axis = figure.subplots()
         place = np.arange(n)
         above, below = np.zeros(n), np.zeros(n)
+        low, high = _span(attribution)
         for each in attribution.shares:
             up, down = np.maximum(each.share, 0.0), np.minimum(each.share, 0.0)
             axis.bar(
@@ -70,11 +74,12 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
             )
             dark = each.cause in ("friction", "payload", "links", "mounting")
             for k, part in enumerate(each.share):
-                if abs(part) >= LABELLED:
-                    middle = (above[k] if part > 0 else below[k]) + part / 2
+                foot = above[k] if part > 0 else below[k]
+                ends = np.clip([foot, foot + part], low, high)
+                if abs(ends[1] - ends[0]) >= LABELLED * (high - low):
                     axis.text(
                         k,
-                        100 * middle,
+                        50 * ends.sum(),
                         f"{100 * part:.0f}",
                         ha="center",
                         va="center",
@@ -92,16 +97,29 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
             linewidth=0.6,
             label="unexplained",
         )
-        top = float(np.max(above + attribution.unexplained)) * 100
+        top = above + attribution.unexplained
+        gap = 0.015 * (high - low)
         for k in range(n):
             axis.text(
                 k,
-                100 * (above[k] + attribution.unexplained[k]) + 0.015 * top,
+                100 * (min(top[k], high) + gap),
                 f"{significant(float(attribution.rms_cad[k]))} {attribution.units[k]}",
                 ha="center",
                 va="bottom",
                 fontsize=7.5,
             )
+            for end, whole, mark in ((high, top[k], "\u25b2"), (low, below[k], "\u25bc")):
+                if abs(whole) > abs(end):
+                    axis.text(
+                        k,
+                        100 * (end - np.sign(end) * gap),
+                        f"{mark} {100 * whole:.0f} %",
+                        ha="center",
+                        va="top" if end > 0.0 else "bottom",
+                        fontsize=7.5,
+                        color="white",
+                        fontweight="bold",
+                    )
         if below.min() < -0.02:
             axis.axhline(100.0, color=INK, linewidth=0.6, linestyle=":")
             figure.supxlabel(
@@ -115,7 +133,8 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
             [broken(name, 14) for name in attribution.joint_names],
             rotation=0 if n <= 8 else 30,
         )
-        axis.set_ylim(min(0.0, 115 * float(below.min())), 1.1 * top)
+        ends = (1.15 * low if low > -CUT else low, 1.1 * high if high < CUT else high)
+        axis.set_ylim(100 * ends[0], 100 * ends[1])
         axis.set_ylabel("share of the squared CAD error [%]")
         axis.grid(axis="x", visible=False)
         figure.legend(loc="outside right upper", reverse=True)
@@ -124,6 +143,14 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
             title or f"{attribution.robot}: causes of the torque error of CAD (RMS on top)",
         )
     return figure
+
+
+def _span(attribution: Attribution) -> tuple[float, float]:
+    """Return the lowest and the highest share that is drawn, within `CUT`."""
+    shares = np.array([each.share for each in attribution.shares])
+    lowest = float(np.minimum(shares, 0.0).sum(axis=0).min(initial=0.0))
+    highest = float((np.maximum(shares, 0.0).sum(axis=0) + attribution.unexplained).max())
+    return max(-CUT, lowest), min(CUT, highest)
 
 
 def difference_figure(comparison: Comparison, *, most: int = 20, title: str = "") -> Figure:
