@@ -250,6 +250,16 @@ def test_text_tables_and_figure() -> None:
     assert "% of the squared error is payload (1.9 kg)" in text
     assert "unexplained" in text
     assert all(line == line.rstrip() for line in text.splitlines())
+    huge = np.zeros(7)
+    huge[:2] = 9.0, -8.0
+    beyond = replace(
+        found,
+        shares=(*found.shares[1:], replace(found.shares[0], share=huge)),
+        unexplained=0 * huge,
+    )
+    axis = attribution_figure(beyond).axes[0]
+    assert axis.get_ylim() == (-300.0, 300.0)
+    assert {"\u25b2", "\u25bc"} <= {label.get_text()[:1] for label in axis.texts}
     figure = attribution_figure(found)
     heights = {}
     for bars in figure.axes[0].containers:

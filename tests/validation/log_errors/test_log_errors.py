@@ -13,13 +13,16 @@ from asbuilt.arrays import Array
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.findings import Finding
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.log_errors.log_error_text import log_error_findings
 from asbuilt.validation.log_errors.log_errors import LogError, log_errors
+from asbuilt.validation.log_errors.plateaus import plateaus
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 Fault = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
@@ -146,6 +149,66 @@ def test_a_saturated_torque_is_named(name: str, joint: int) -> None:
     assert ("nonlinear", bundled_robot(name).joint_names[joint]) in [
         (each.kind, each.joint) for each in errors
     ]
+
+
+def findings(name: str, recording: Recording) -> dict[str, Finding]:
+    """Return the findings of a log by their codes."""
+    samples = prepare_samples(recording)
+    result = identify_samples(bundled_robot(name), samples, drive=DRIVE)
+    return {each.code: each for each in log_error_findings(result, [samples])}
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "part"),
+    [
+        ("ur10e", 1, 0.7),
+        ("ur10e", 2, 0.5),
+        ("franka-panda", 1, 0.7),
+        ("franka-panda", 3, 0.85),
+        ("kuka-iiwa7-r800", 1, 0.7),
+        ("kuka-iiwa7-r800", 3, 0.5),
+        ("puma-560", 1, 0.7),
+        ("puma-560", 2, 0.7),
+    ],
+)
+def test_a_plateau_of_the_torque_is_named_with_its_level(
+    name: str, joint: int, part: float
+) -> None:
+    """Thresholds were settled on the other robots, none on the Puma."""
+    model = bundled_robot(name)
+    limit = part * np.abs(logged(model).tau[:, joint]).max()
+    found = findings(name, logged(model, saturating(joint, part)))
+    assert {code for code in found if code != "clock_unseen"} == {"torque_saturates"}
+    assert found["torque_saturates"].joint == model.joint_names[joint]
+    said = found["torque_saturates"].message.split("stays at ")[1].split()[0]
+    assert abs(float(said)) == pytest.approx(limit, rel=0.03)
+
+
+def test_friction_at_constant_speed_is_no_saturation() -> None:
+    model, drive = bundled_robot("ur10e"), DRIVE
+    motion = random_fourier(model, rng=1, duration=30.0).sample(100.0)
+    q = motion.q.copy()
+    q[:, 0] = np.arcsin(0.98 * np.sin(0.8 * motion.t))
+    qd = np.gradient(q, motion.t, axis=0)
+    tau = inverse_dynamics(model, q, qd, np.gradient(qd, motion.t, axis=0))
+    tau += np.array([100.0, 5, 5, 2, 2, 2]) * np.tanh(qd / 0.01)
+    tau += np.random.default_rng(1).normal(scale=0.2, size=tau.shape)
+    samples = prepare_samples(Recording(t=motion.t, q=q, tau=tau, joint_names=model.joint_names))
+    result = identify_samples(model, samples, drive=drive)
+    near = np.abs(samples.tau[:, 0]) > 0.95 * np.percentile(np.abs(samples.tau[:, 0]), 99.5)
+    assert np.mean(near) > 0.5
+    assert plateaus(model, result.base, [samples]) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "unseen"), [("ur10e", False), ("franka-panda", True), ("scara", True)]
+)
+def test_a_log_that_shows_no_error_of_the_clock_says_so(name: str, unseen: bool) -> None:
+    found = findings(name, logged(bundled_robot(name)))
+    assert set(found) == ({"clock_unseen"} if unseen else set())
+    if unseen:
+        whole = "of any size" if name == "scara" else "below"
+        assert whole in found["clock_unseen"].message
 
 
 def test_a_drifting_sensor_is_measured() -> None:

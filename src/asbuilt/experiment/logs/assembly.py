@@ -44,10 +44,8 @@ def build_recording(
     """
     notes, start = list(layout.notes), 0.0
     if layout.time is not None:
-        t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
-        start = origin if origin is not None else clock_origin(t)
+        t, start = logged_times(table, layout, origin)
         if start != 0:
-            t = t - start
             notes.append(f"times count from {start:.6f} s")
         if rate is not None:
             notes.append(
@@ -219,6 +217,20 @@ def _per_joint(recording: Recording, name: str, given: Any, unknown: float) -> t
             expected=recording.n_joints,
         )
     return tuple(values * recording.n_joints if len(values) == 1 else values)
+
+
+def logged_times(
+    table: LogTable, layout: Layout, origin: float | None = None
+) -> tuple[Array, float]:
+    """Return the times [s] of a table with a time column, less the origin, and the origin."""
+    assert layout.time is not None
+    t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
+    start = origin if origin is not None else clock_origin(t)
+    t = t - start if start != 0 else t
+    return (
+        t if layout.nanoseconds is None else t + 1e-9 * table.columns[layout.nanoseconds],
+        start,
+    )
 
 
 def clock_origin(t: Array) -> float:

@@ -15,6 +15,7 @@ from asbuilt.experiment.logs.joint_matching import (
 from asbuilt.experiment.logs.roles import (
     Role,
     commanded,
+    nanoseconds_beside,
     recognise,
     recognise_by_unit,
     unit_scale,
@@ -39,7 +40,7 @@ class Layout:
     """Columns of each quantity in joint order, and the factor of each column to SI.
 
     `quantities` has position, torque or command, and velocity, acceleration, and extras such as
-    `tau_ext` where the log has them.
+    `tau_ext` where the log has them. `nanoseconds` is a column to add to the time.
     """
 
     time: str | None
@@ -48,12 +49,14 @@ class Layout:
     joint_names: tuple[str, ...]
     torque_source: TorqueSource = "unknown"
     notes: tuple[str, ...] = ()
+    nanoseconds: str | None = None
 
     @property
     def columns(self) -> list[str]:
         """Every column that is needed, each once."""
         names = [name for group in self.quantities.values() for name in group]
-        return list(dict.fromkeys([*([self.time] if self.time else []), *names]))
+        times = [each for each in (self.time, self.nanoseconds) if each]
+        return list(dict.fromkeys([*times, *names]))
 
 
 @dataclass
@@ -146,7 +149,8 @@ def find_layout(
     time, time_scale = _time_column(source, names, order, groups, sheet)
     if time is not None:
         scales[time] = time_scale
-    return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes))
+    beside = nanoseconds_beside(time, names) if time and sheet.columns.time is None else None
+    return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes), beside)
 
 
 def _chosen(
@@ -492,7 +496,8 @@ def _time_column(
     group = groups.get(("time", ""))
     if group is None:
         return None, 1.0
-    pick = next((k for k, role in enumerate(group.roles) if not role.joint), None)
-    if pick is None:
+    picks = [k for k, role in enumerate(group.roles) if not role.joint]
+    if not picks:
         return None, 1.0
+    pick = next((k for k in picks if nanoseconds_beside(group.names[k], names)), picks[0])
     return group.names[pick], unit or group.roles[pick].scale

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,6 +22,9 @@ _WORDS: dict[str, Quantity] = {
             "clock",
             "duration",
             "elapsed",
+            "sec",
+            "secs",
+            "seconds",
             "uptime",
             "zeit",
             "temps",
@@ -100,6 +104,8 @@ _RSI = {"AIPos.": "position (deg) ", "ASPos.": "position (deg) ", "MACur.": "cur
 _RSI_COMMAND = "ASPos."
 _NO_CLOCK = {"latency", "delay", "dt", "delta", "period", "cycle", "jitter", "step", "flight"}
 """Words of times that are not those of the samples."""
+_SECONDS = {"sec", "secs", "seconds"}
+_NANOSECONDS = {"nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"}
 _JOINT = {"joint", "joints", "jnt", "axis", "achse", "j", "a", "dof"}
 """Words before the number of a joint."""
 _DESIRED = {
@@ -309,6 +315,19 @@ def recognise(name: str) -> Role | None:
             else ""
         )
     return Role(quantity, joint, index, kind, 1.0 if scale is None else scale, unit)
+
+
+def nanoseconds_beside(name: str, names: Sequence[str]) -> str | None:
+    """Return the column of nanoseconds that belongs to one of whole seconds, as in ROS stamps.
+
+    >>> nanoseconds_beside("stamp.sec", ["stamp.sec", "stamp.nanosec"])
+    'stamp.nanosec'
+    """
+    *before, last = words_of(name) or [""]
+    if last not in _SECONDS:
+        return None
+    fits = (each for each in names if words_of(each)[:-1] == before)
+    return next((each for each in fits if words_of(each)[-1] in _NANOSECONDS), None)
 
 
 def commanded(name: str) -> Role | None:

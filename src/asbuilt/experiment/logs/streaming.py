@@ -9,7 +9,7 @@ from typing import Any
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, clock_origin
+from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, logged_times
 from asbuilt.experiment.logs.formats.frames import numbers
 from asbuilt.experiment.logs.formats.log_format import LogStream, LogTable, log_format
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
@@ -83,9 +83,8 @@ def stream_recording(
         columns = {name: numbers(frame[name]) for name in layout.columns}
         table = replace(header, columns=columns)
         if origin is None and layout.time is not None:
-            t = table.columns[layout.time] * layout.scales[layout.time]
-            origin = clock_origin(t)
-            start = float(t[0]) - origin
+            t, origin = logged_times(table, layout)
+            start = float(t[0])
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
         chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), windowless, chosen)
         if sheet.windows:

@@ -107,6 +107,21 @@ class BlockEquations:
             for each in self._trials([j for j in inside if j != place], [place], level=1.0)
         )
 
+    def smallest_seen(self, column: int, share: float) -> float:
+        """Return the value at which a column takes away a share of the squared residual.
+
+        Infinite if it cannot be distinguished from the fit's own columns.
+        """
+        own, c = range(self.n_own), self.n_own + column
+        G = self.grams.sum(axis=0)
+        known = np.linalg.pinv(G[np.ix_(own, own)], hermitian=True)
+        gram = float(G[c, c] - G[c, own] @ known @ G[own, c])
+        return (
+            np.inf
+            if gram < SEPARATE
+            else float(np.sqrt(share * self.residual / gram) / self.scale[c])
+        )
+
     @property
     def residual(self) -> float:
         """Squared residual of the fit without candidates."""

@@ -13,7 +13,7 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.calibration.mounting import Mounting
 from asbuilt.validation.log_errors.error_columns import Kind
-from asbuilt.validation.log_errors.log_errors import LogError, log_errors
+from asbuilt.validation.log_errors.log_errors import LogError, Sought, sought_errors
 from asbuilt.validation.log_errors.plateaus import Plateau, plateaus, without_plateaus
 from asbuilt.validation.prediction import torque_units
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
     from asbuilt.identification.result.result import IdentificationResult
 
+UNSEEN = 0.05
+"""Error of the clock, as a share, that a log should show."""
 DEAD = 0.15
 """Part of the model's torque below which a torque channel does not follow the motion."""
 
@@ -40,13 +42,31 @@ def log_error_findings(
     """
     flat = _plateaus(result, training, block_seconds)
     rest = without_plateaus(training, flat) if flat else training
-    found = log_errors(result, rest, mounting=mounting, block_seconds=block_seconds)
+    sought = sought_errors(result, rest, mounting=mounting, block_seconds=block_seconds)
     held = sorted({each.joint for each in flat})
     named = [result.joint_names[joint] for joint in held]
-    others = [each for each in found if each.kind != "nonlinear" or each.joint not in named]
+    others = [each for each in sought.errors if each.kind != "nonlinear" or each.joint not in named]
     return (
         *(_saturated(result, joint, flat) for joint in held),
         *_findings(result, others, springs),
+        *_unseen_clock(sought),
+    )
+
+
+def _unseen_clock(sought: Sought) -> Iterator[Finding]:
+    """Say which error of the clock the log would not show."""
+    if sought.clock_unseen < UNSEEN or any(each.kind == "clock" for each in sought.errors):
+        return
+    size = (
+        f"below {100 * sought.clock_unseen:.2g} % would not show"
+        if np.isfinite(sought.clock_unseen)
+        else "of any size would not show"
+    )
+    yield Finding(
+        "clock_unseen",
+        "info",
+        f"An error of the clock {size} in this log: other parameters take its place",
+        Cure("compare the sampling rate with another clock, or record faster motions as well"),
     )
 
 

@@ -45,6 +45,8 @@ CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
 """Factors about which a clock is looked for that is off by more than what is first order."""
 LARGEST_STEP = 0.5
 """Largest step of the logarithm of the clock's rate."""
+PER_JOINT = ("zero", "scale", "drift")
+"""Kinds of errors that are taken out of the log of one joint."""
 DEAD = -0.8
 """Scale below which a torque cannot be divided by it."""
 
@@ -88,6 +90,18 @@ class LogError:
     share: float
 
 
+@dataclass(frozen=True, slots=True)
+class Sought:
+    """Hold what a search found: `errors`, the largest share first, and what it cannot find.
+
+    Errors of the clock below `clock_unseen` (a share of its rate) would explain less of the
+    residual than what is named; infinite where other parameters take the place of any clock.
+    """
+
+    errors: tuple[LogError, ...] = ()
+    clock_unseen: float = 0.0
+
+
 def log_errors(
     result: IdentificationResult,
     training: Sequence[Samples],
@@ -95,7 +109,18 @@ def log_errors(
     mounting: Mounting | None = None,
     block_seconds: float | None = None,
 ) -> tuple[LogError, ...]:
-    """Return the errors of the log that the residual of a result shows, the largest share first.
+    """Return the errors that `sought_errors` finds."""
+    return sought_errors(result, training, mounting=mounting, block_seconds=block_seconds).errors
+
+
+def sought_errors(
+    result: IdentificationResult,
+    training: Sequence[Samples],
+    *,
+    mounting: Mounting | None = None,
+    block_seconds: float | None = None,
+) -> Sought:
+    """Search the residual of a result for errors of the log.
 
     Columns of all candidates are added to the weighted least squares fit one at a time
     (`BlockEquations.selected`). Their values are then found by Gauss-Newton steps, each about the
@@ -120,15 +145,15 @@ def log_errors(
     need.
     """
     if not training:
-        return ()
+        return Sought()
     searched = _thinned(training)
     try:
         search = _Search(result.model, result.base, result.estimates, searched, block_seconds)
         if search.tilt_is_first:
             search = _tilted(search, mounting) or search
-        return _found(search)
+        return Sought(_found(search), search.clock_unseen)
     except (AsbuiltError, np.linalg.LinAlgError):
-        return ()
+        return Sought()
 
 
 def _tilted(search: _Search, mounting: Mounting | None) -> _Search | None:
@@ -165,7 +190,7 @@ def _found(search: _Search) -> tuple[LogError, ...]:
     )
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Corrected:
     """Hold what is taken out of a log: clock, zero positions, scales and drifts, (n,) each."""
 
@@ -178,30 +203,29 @@ class _Corrected:
     def nothing(cls, n: int) -> _Corrected:
         return cls(np.zeros(n), np.zeros(n), np.zeros(n))
 
-    def take(self, candidate: Candidate, step: float) -> float:
-        """Take out more; returns the step taken, 0 for what stays in the fit."""
+    def taking(self, candidate: Candidate, step: float) -> tuple[_Corrected, float]:
+        """Return this with more taken out, and the step taken, 0 for what stays in the fit."""
         if candidate.kind == "clock":
             step = float(np.clip(step, -LARGEST_STEP, LARGEST_STEP))
-            self.clock *= float(np.exp(step))
-            return step
-        held = {"zero": self.zero, "scale": self.scale, "drift": self.drift}.get(candidate.kind)
-        if held is None or candidate.joint is None:
-            return 0.0
-        if candidate.kind != "scale":
-            held[candidate.joint] += step
-            return step if candidate.kind == "zero" else 0.0
-        if step < DEAD:
-            return 0.0
-        held[candidate.joint] += step * (1.0 + held[candidate.joint])
-        return step
+            return replace(self, clock=self.clock * float(np.exp(step))), step
+        if candidate.kind not in PER_JOINT or candidate.joint is None:
+            return self, 0.0
+        if candidate.kind == "scale" and step < DEAD:
+            return self, 0.0
+        held = np.array(getattr(self, candidate.kind))
+        held[candidate.joint] += step * (
+            1.0 + held[candidate.joint] if candidate.kind == "scale" else 1.0
+        )
+        changed = replace(self, **{candidate.kind: held})
+        return changed, 0.0 if candidate.kind == "drift" else step
 
     def value(self, candidate: Candidate) -> float | None:
         """Return what was taken out by a candidate; None for what stays in the fit."""
         if candidate.kind == "clock":
             return self.clock - 1.0
-        held = {"zero": self.zero, "scale": self.scale, "drift": self.drift}.get(candidate.kind)
-        if held is None or candidate.joint is None:
+        if candidate.kind not in PER_JOINT or candidate.joint is None:
             return None
+        held = getattr(self, candidate.kind)
         dead = candidate.kind == "scale" and held[candidate.joint] == 0.0
         return None if dead else float(held[candidate.joint])
 
@@ -265,6 +289,12 @@ class _Search:
         after = self._residual(replace(nothing, clock=1.0 + error.value).of)
         return replace(error, share=1.0 - after / whole)
 
+    @property
+    def clock_unseen(self) -> float:
+        """Error of the clock below which it would not be named."""
+        columns, equations = self._first
+        return equations.smallest_seen(columns.candidates.index(Candidate("clock", None)), NAMED)
+
     @cached_property
     def _picked(self) -> tuple[Chosen, ...]:
         columns, equations = self._first
@@ -316,11 +346,12 @@ class _Search:
                 each.column: each
                 for each in self._equations(taken, None)[1].together(columns, self._given)
             }
-            steps = [
-                taken.take(own, solved[column].value) if column in solved else 0.0
-                for (own, _), column in zip(picked, columns, strict=True)
-            ]
-            if max(map(abs, steps)) < SETTLED:
+            steps = []
+            for (own, _), column in zip(picked, columns, strict=True):
+                if column in solved:
+                    taken, step = taken.taking(own, solved[column].value)
+                    steps.append(step)
+            if max(map(abs, steps), default=0.0) < SETTLED:
                 return [
                     self._named(own, taken.value(own), solved[column], share)
                     for (own, share), column in zip(picked, columns, strict=True)
