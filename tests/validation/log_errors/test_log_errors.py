@@ -187,8 +187,8 @@ def test_a_plateau_of_the_torque_is_named_with_its_level(
 def test_friction_at_constant_speed_is_no_saturation() -> None:
     model, drive = bundled_robot("ur10e"), DRIVE
     motion = random_fourier(model, rng=1, duration=30.0).sample(100.0)
-    q = motion.q.copy()
-    q[:, 0] = np.arcsin(0.98 * np.sin(0.8 * motion.t))
+    q = 0.2 * motion.q
+    q[:, 0] = np.arcsin(0.95 * np.sin(0.4 * motion.t))
     qd = np.gradient(q, motion.t, axis=0)
     tau = inverse_dynamics(model, q, qd, np.gradient(qd, motion.t, axis=0))
     tau += np.array([100.0, 5, 5, 2, 2, 2]) * np.tanh(qd / 0.01)
@@ -196,7 +196,7 @@ def test_friction_at_constant_speed_is_no_saturation() -> None:
     samples = prepare_samples(Recording(t=motion.t, q=q, tau=tau, joint_names=model.joint_names))
     result = identify_samples(model, samples, drive=drive)
     near = np.abs(samples.tau[:, 0]) > 0.95 * np.percentile(np.abs(samples.tau[:, 0]), 99.5)
-    assert np.mean(near) > 0.5
+    assert np.mean(near) > 0.3
     assert plateaus(model, result.base, [samples]) == ()
 
 
