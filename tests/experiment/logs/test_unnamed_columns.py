@@ -106,6 +106,8 @@ def test_columns_of_text_and_a_counter_beside_the_time(
     np.testing.assert_array_equal(recording.t, t)
     chunks = list(stream_recording(log, model=MODEL, sheet=sheet, chunk_samples=300))
     np.testing.assert_array_equal(np.concatenate([c.q for c in chunks]), values["position"])
+    with pytest.raises(ValueError, match="runs backwards"):
+        read_recording(log, sheet={"columns": {"position": "10-5"}})
     with pytest.raises(RecordingError, match=r"column 7 .* holds text"):
         read_recording(log, sheet={"header": False, "columns": {"position": "5-10"}})
 

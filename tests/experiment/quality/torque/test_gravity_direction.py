@@ -47,6 +47,20 @@ def test_the_right_direction_and_a_small_tilt_are_not_doubted(name: str) -> None
     assert "torque_flipped" in flipped.codes
 
 
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_description_without_gravity_is_doubted_where_the_log_shows_some(name: str) -> None:
+    floating = bundled_robot(name).with_gravity((0.0, 0.0, 0.0))
+    (found,) = [
+        each
+        for each in check_recording(floating, recorded(name, (0.0, 0.0, -9.81))).findings
+        if each.code == "gravity_direction"
+    ]
+    assert found.cure is not None
+    assert found.cure.settings == {"gravity": "-z"}
+    weightless = check_recording(floating, recorded(name, (0.0, 0.0, 0.0)))
+    assert "gravity_direction" not in weightless.codes
+
+
 def test_a_direction_that_is_no_axis_is_estimated() -> None:
     along = np.array([0.6, -0.64, 0.48]) * 9.81
     check = check_recording(bundled_robot("ur10e"), recorded("ur10e", tuple(along)))

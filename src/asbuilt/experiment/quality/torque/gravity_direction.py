@@ -50,11 +50,10 @@ def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
     The torques without gravity and those of gravity along each axis are compared with the measured
     ones, offset and friction taken out of all. The sign of friction distinguishes a flipped torque
     from a robot upside down; without it, torques that gravity does not dominate do. If they do
-    not decide, the torque is taken as flipped.
+    not decide, the torque is taken as flipped. A description without gravity is doubted where the
+    torques show some.
     """
     given = np.asarray(fit.model.gravity)
-    if not given.any():
-        return None
     cosines = _Cosines.of(fit)
     now = cosines.at(given)
     if now > THRESHOLDS.doubtful:
