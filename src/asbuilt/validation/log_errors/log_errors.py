@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -216,8 +216,8 @@ class _Corrected:
         held[candidate.joint] += step * (
             1.0 + held[candidate.joint] if candidate.kind == "scale" else 1.0
         )
-        changed = replace(self, **{candidate.kind: held})
-        return changed, 0.0 if candidate.kind == "drift" else step
+        changed: dict[str, Any] = {candidate.kind: held}
+        return replace(self, **changed), 0.0 if candidate.kind == "drift" else step
 
     def value(self, candidate: Candidate) -> float | None:
         """Return what was taken out by a candidate; None for what stays in the fit."""

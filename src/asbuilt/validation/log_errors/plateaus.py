@@ -112,8 +112,8 @@ def _crowded(logged: Sequence[Prediction]) -> Iterator[tuple[int, float]]:
             level = float(np.percentile(x, RULES.highest))
             if level <= RULES.matters * np.abs(x).max():
                 continue
-            near = np.count_nonzero(x > RULES.near * level)
-            below = np.count_nonzero(x > (2.0 * RULES.near - 1.0) * level) - near
+            near = int(np.sum(x > RULES.near * level))
+            below = int(np.sum(x > (2.0 * RULES.near - 1.0) * level)) - near
             if near >= max(RULES.fewest, below):
                 yield joint, sign
 
