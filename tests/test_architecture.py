@@ -231,6 +231,8 @@ def test_start_up_loads_nothing_heavy(statement: str) -> None:
         "review ur10e LOG",
         "validate ur10e LOG",
         "excite LOG",
+        "simulate ur10e --preset unknown",
+        "simulate ur10e --tool heavy",
         "program LOG LOG2 --format franka",
     ],
 )
@@ -251,7 +253,7 @@ def test_bad_input_is_refused_before_anything_heavy_is_loaded(
     done = subprocess.run(
         [sys.executable, "-c", code, *given], capture_output=True, text=True, check=True
     )
-    status = "1" if "LOG" in arguments else "0"
+    status = "1" if "LOG" in arguments else "2" if "simulate" in arguments else "0"
     assert done.stdout.strip().splitlines()[-1] == status, done.stderr
 
 

@@ -173,7 +173,14 @@ def simulate(
 
     The parameters of the robot are written beside the recording.
     """
+    runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
+    kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
+    model = robot_as_built(robot, fixed_base=fixed_base)
     from asbuilt.description.tool import tool_from_text
+
+    carried = None if tool is None else tool_from_text(tool)
+    if at is not None and carried is None:
+        raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     from asbuilt.experiment.virtual.settings import with_settings
     from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
     from asbuilt.identification.calibration.payload import payload_frame
@@ -183,12 +190,6 @@ def simulate(
         write_simulation,
     )
 
-    runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
-    kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
-    model = robot_as_built(robot, fixed_base=fixed_base)
-    carried = None if tool is None else tool_from_text(tool)
-    if at is not None and carried is None:
-        raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     place = None if carried is None else payload_frame(model, at)[0]
     if free is not None:
         given = {

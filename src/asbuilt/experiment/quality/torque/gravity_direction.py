@@ -65,6 +65,8 @@ def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
             return None
     elif -now > THRESHOLDS.clear:
         along = -given
+    if not along.any():
+        return None
     mounted = replace(fit, model=fit.model.with_gravity(along))
     sign = _friction_sign(mounted)
     parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
