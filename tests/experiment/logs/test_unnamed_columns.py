@@ -162,14 +162,15 @@ def test_dates_and_times_of_day_are_times(tmp_path: Path, stamps: list[str], rea
 
 @pytest.mark.parametrize("read", [read_recording, _streamed])
 @pytest.mark.parametrize(
-    "names", ["header.stamp.sec,header.stamp.nanosec", "nsecs,secs", "stamp_sec,stamp_nanosec"]
+    "names", ["header.stamp.sec,header.stamp.nanosec", "nsecs,secs", "stamp_sec,stamp_nanosec,%"]
 )
 def test_seconds_and_nanoseconds_are_one_time(tmp_path: Path, names: str, read: object) -> None:
     log = tmp_path / "log.csv"
     stamps = [(1772366400, 990000000), (1772366401, 0), (1772366401, 10000000)]
+    rest = ",7" if names.endswith("%") else ""
     if names.startswith("n"):
         stamps = [(b, a) for a, b in stamps]
-    log.write_text(f"{names},q_1,tau_1\n" + "".join(f"{a},{b},1,2\n" for a, b in stamps))
+    log.write_text(f"{names},q_1,tau_1\n" + "".join(f"{a},{b}{rest},1,2\n" for a, b in stamps))
     recording = read(log)  # type: ignore[operator]
     np.testing.assert_allclose(np.diff(recording.t), 0.01, atol=1e-9)
 

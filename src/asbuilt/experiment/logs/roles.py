@@ -326,8 +326,8 @@ def nanoseconds_beside(name: str, names: Sequence[str]) -> str | None:
     *before, last = words_of(name) or [""]
     if last not in _SECONDS:
         return None
-    fits = (each for each in names if words_of(each)[:-1] == before)
-    return next((each for each in fits if words_of(each)[-1] in _NANOSECONDS), None)
+    wanted = [[*before, last] for last in _NANOSECONDS]
+    return next((each for each in names if words_of(each) in wanted), None)
 
 
 def commanded(name: str) -> Role | None:
