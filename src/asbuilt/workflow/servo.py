@@ -253,7 +253,10 @@ def servo_findings(
                 f"The stiffness of the position servo was unknown: {one},"
                 f" {_shown(found.servo.kp[0], errors.kp[0])} N m/rad for {names[0]}, from the"
                 f" {' and '.join(sources)} of CAD. All torques have its relative error",
-                Cure("give the stiffness if it is known"),
+                Cure(
+                    "give the stiffness if it is known, or find it from a payload of known mass",
+                    call="find_gains",
+                ),
             )
         )
     findings += _goal_findings(found)

@@ -11,10 +11,12 @@ import pytest
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.recording import Recording
@@ -25,6 +27,7 @@ from asbuilt.identification.calibration.torque_gains import identify_gains
 from asbuilt.identification.calibration.two_channels import identify_two_channels
 from asbuilt.workflow.calibration.torques import find_gains, identify_channels
 from asbuilt.workflow.options import ChannelOptions, GainOptions
+from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 
 ARM, RATE = "ur10e", 200.0
 TOOL = LinkInertia.from_com(5.0, [0.0, 0.0, 0.1], 0.02 * np.eye(3))
@@ -141,3 +144,32 @@ def test_channels_whose_rows_repeat_at_different_instants_run_together() -> None
         identify_channels(model, sensor, replace(motor, q=motor.q[::-1]))
     with pytest.raises(UsageError, match="not of the same instants"):
         identify_channels(model, sensor, replace(motor, t=motor.t + 0.0021))
+
+
+def test_stiffness_of_servos_from_a_payload(tmp_path: Path) -> None:
+    model = load_robot("so-101")
+    body = LinkInertia.from_com(0.2, [0.0, 0.0, 0.03], 1e-5 * np.eye(3))
+    logs = []
+    for seed in (1, 2):
+        robot = VirtualRobot.preset("servo", model, rng=7)
+        robot = robot.with_tool(body) if seed == 2 else robot
+        motion = random_fourier(model, rng=seed, duration=40.0)
+        logged = robot.record(motion, rate=200.0, rng=seed).recording
+        unknown = PositionServo(kp=(np.nan,) * 5, kd=(np.nan,) * 5)
+        logs.append(driven_by_command(replace(logged, servo=None), unknown))
+    true = VirtualRobot.preset("servo", model, rng=7).record(
+        random_fourier(model, rng=1, duration=5.0), rate=200.0, rng=1
+    )
+    assert true.recording.servo is not None
+    stiffness = np.array(true.recording.servo.kp)
+    options = GainOptions(com=(0.0, 0.0, 0.03))
+    found = find_gains(model, logs[0], logs[1], mass=0.2, options=options)
+    assert found.of_command
+    assert found.determined[1:4].all()
+    error = np.abs(found.gains - stiffness)[1:4]
+    assert np.all(error < 0.02 * stiffness[1:4])
+    assert np.all(error < 4.0 * found.std_errors[1:4])
+    document = gains_document(found)
+    assert document["option"].startswith("--kp=")
+    assert document["sheet"].startswith("kp = [")
+    assert "kp [N m/rad]" in gains_text(found)

@@ -23,6 +23,7 @@ from asbuilt.cli.arguments.options import (
     robot_and_recordings,
 )
 from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.workflow.options import GainOptions
 
 
@@ -54,12 +55,14 @@ def gains(
     """Find the torque per ampere (per logged unit) of every drive from a payload of known mass.
 
     The command prints the --gain that uses it. Gains of a sheet or of --gain scale the torques as
-    usual; the gains printed replace them.
+    usual; the gains printed replace them. In logs of commands the gain is the stiffness of the
+    position servo, --kp.
     """
     distinct_logs(log, loaded)
     model = described_robot(robot, fixed_base=reading.fixed_base)
-    currents = replace(reading, torque_source=reading.torque_source or "current")
-    model, (bare, under) = robot_and_recordings(model, currents, log, loaded)
+    source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
+    measured = replace(reading, torque_source=source or "current")
+    model, (bare, under) = robot_and_recordings(model, measured, log, loaded)
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.workflow.calibration.torques import find_gains
     from asbuilt.writers.tables.drive_tables import gains_document, gains_text

@@ -35,6 +35,9 @@ SMALL_SHARE = 0.15
 """Share of the payload in a joint's torque below which its gain depends on other joints."""
 LARGEST_ERROR = 0.25
 """Standard error of a gain, as a fraction of it, above which it is undetermined."""
+RUNAWAY = 1e4
+"""Gain, in units of the median joint's, beyond which nothing bounds it: no two drives of a robot
+differ as much."""
 RANK_TOLERANCE = 1e-10
 
 
@@ -61,6 +64,9 @@ class TorqueGains:
         Parameters (10,) of the payload in the axes of this frame, in the order of `LinkInertia`.
     sources
         The recordings.
+    of_command
+        Whether the torques were those of position servos, so that the gains are their stiffnesses
+        [N m/rad or N/m].
     """
 
     joint_names: tuple[str, ...]
@@ -73,6 +79,7 @@ class TorqueGains:
     frame: str
     payload: Array
     sources: tuple[str, ...]
+    of_command: bool = False
 
     @property
     def factors(self) -> Array:
@@ -97,7 +104,7 @@ class TorqueGains:
         undetermined = self._named(~self.determined)
         if undetermined:
             said.append(
-                f"undetermined, so the gain in use stays: {undetermined}; the payload has little"
+                f"undetermined, so {self._instead()}: {undetermined}; the payload has little"
                 " effect on these joints, or its centre or inertia is unknown"
             )
         turned = self.determined & (self.factors < 0)
@@ -107,6 +114,11 @@ class TorqueGains:
                 f" {'every joint' if turned.all() else self._named(turned)}; these gains reverse"
                 " it, so keep all other sign settings"
             )
+        if self.of_command:
+            said.append(
+                "the gains are the stiffnesses of the position servos; identify takes them as"
+                " exact, so add their relative errors to those of the torques"
+            )
         small = self._named(self.payload_share < SMALL_SHARE)
         if small:
             said.append(
@@ -115,6 +127,9 @@ class TorqueGains:
                 " errors"
             )
         return tuple(said)
+
+    def _instead(self) -> str:
+        return "identify finds it" if self.of_command else "the gain in use stays"
 
     def _named(self, chosen: NDArray[np.bool_]) -> str:
         return ", ".join(
@@ -129,10 +144,7 @@ class TorqueGains:
 
 def gains_in_use(recordings: Sequence[Recording]) -> Array:
     """Return the gains (n,) in use in all recordings; raises `UsageError` if they differ."""
-    each = [
-        np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains)
-        for recording in recordings
-    ]
+    each = [_gains_of(recording) for recording in recordings]
     for recording, gains in zip(recordings, each, strict=True):
         if not np.array_equal(gains, each[0]):
             listed = ", ".join(f"{gain:g}" for gain in each[0])
@@ -142,6 +154,13 @@ def gains_in_use(recordings: Sequence[Recording]) -> Array:
                 cure=Cure("give the same gains for all recordings, or in their sheets"),
             )
     return each[0]
+
+
+def _gains_of(recording: Recording) -> Array:
+    """Return the gains (n,) of a recording, or the stiffness of its servo, 1 where unknown."""
+    if recording.torque_source == "command" and recording.servo is not None:
+        return np.asarray(np.nan_to_num(recording.servo.kp, nan=1.0), dtype=np.float64)
+    return np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains)
 
 
 def identify_gains(
@@ -155,6 +174,7 @@ def identify_gains(
     drive: DriveSet | None = None,
     frame: str | None = None,
     in_use: ArrayLike | None = None,
+    of_command: bool = False,
 ) -> TorqueGains:
     """Estimate torque gains from recordings without and with a known payload.
 
@@ -181,6 +201,8 @@ def identify_gains(
         Frame that carries the payload, by default the flange.
     in_use
         Gains that the samples were multiplied by (`gains_in_use`), which the new ones replace.
+    of_command
+        Whether the torques are those of position servos.
 
     Raises
     ------
@@ -229,8 +251,12 @@ def identify_gains(
     with one_blas_thread():
         gains, payload = problem.solve(np.where(known, given, 0.0), known)
         scatter = problem.jackknife(gains, np.where(known, given, 0.0), known)
-    determined = np.isfinite(scatter) & (scatter < LARGEST_ERROR * np.abs(gains))
-    open_ended = ~(scatter < np.abs(gains))
+    open_ended = ~(scatter < np.abs(gains)) | (
+        np.abs(gains) > RUNAWAY * np.nanmedian(np.abs(gains))
+    )
+    determined = ~open_ended & (scatter < LARGEST_ERROR * np.abs(gains))
+    if of_command:
+        determined &= gains > 0.0
     share = problem.payload_share(gains, payload)
     gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
     labels = [
@@ -249,6 +275,7 @@ def identify_gains(
         frame=name,
         payload=payload,
         sources=tuple(each.source for each in (*without, *under)),
+        of_command=of_command,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
+from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE
@@ -27,7 +28,7 @@ from asbuilt.identification.calibration.two_channels import (
     identify_two_channels,
 )
 from asbuilt.workflow.options import ChannelOptions, GainOptions
-from asbuilt.workflow.prepare import Progress, prepare
+from asbuilt.workflow.prepare import Prepared, Progress, prepare
 
 COMMON = 0.9
 """Least share of the samples of two channels that has equal time stamps."""
@@ -83,16 +84,31 @@ def find_gains(
         progress=progress,
     )
     heads = [head_of(item) for item in (*bare, *under) if not isinstance(item, Samples)]
+    samples = [
+        _of_known_direction(each, item, prepared)
+        for each, item in zip(prepared.training, (*bare, *under), strict=True)
+    ]
     return identify_gains(
         model,
-        prepared.training[: len(bare)],
-        prepared.training[len(bare) :],
+        samples[: len(bare)],
+        samples[len(bare) :],
         mass=mass,
         com=options.com,
         drive=options.drive,
         frame=options.frame,
         in_use=gains_in_use(heads),
+        of_command=any(head.torque_source == "command" for head in heads),
     )
+
+
+def _of_known_direction(samples: Samples, item: Recorded, prepared: Prepared) -> Samples:
+    """Return the samples of a servo's command whose direction of motion is known; others whole."""
+    if isinstance(item, Samples) or prepared.chain is None:
+        return samples
+    head = head_of(item)
+    if head.torque_source != "command":
+        return samples
+    return moving_faster(samples, head, prepared.chain.cutoff or np.inf)
 
 
 def identify_channels(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -96,7 +97,8 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
         "factor_std_errors": [_number(value) for value in found.factor_std_errors],
         "determined": found.determined.tolist(),
         "gain": [float(value) for value in _listed(found).split(",")],
-        "option": f"--gain={_listed(found)}",
+        "option": _option(found),
+        "of_command": found.of_command,
         "sheet": _sheet_line(found),
         "payload_share": [_number(value) for value in found.payload_share],
         "known": list(found.known),
@@ -111,9 +113,9 @@ def gains_text(found: TorqueGains, full: bool = False) -> str:
     """Return gains as a table, and the option and the line of a recording sheet that use them."""
     columns = (
         Column("joint"),
-        Column("gain in use", align="right", style="g"),
-        Column("factor"),
-        Column("torque per logged unit"),
+        Column("gain in use", align="right", style="g", detail=found.of_command),
+        Column("factor", detail=found.of_command),
+        Column("kp [N m/rad]" if found.of_command else "torque per logged unit"),
         Column("payload", "% of torque", "right"),
         Column("determined"),
     )
@@ -147,7 +149,7 @@ def gains_text(found: TorqueGains, full: bool = False) -> str:
         [
             text,
             "Instead of the gains in use:",
-            f"  --gain={_listed(found)}",
+            f"  {_option(found)}",
             "or in the recording sheet:",
             f"  {_sheet_line(found)}\n",
         ]
@@ -158,8 +160,24 @@ def _listed(found: TorqueGains) -> str:
     return ",".join(f"{gain:.6g}" for gain in found.to_use)
 
 
+def _option(found: TorqueGains) -> str:
+    if not found.of_command:
+        return f"--gain={_listed(found)}"
+    return "--kp=" + ",".join(str(each) for each in _stiffnesses(found))
+
+
 def _sheet_line(found: TorqueGains) -> str:
-    return f"gains = [{_listed(found).replace(',', ', ')}]"
+    if not found.of_command:
+        return f"gains = [{_listed(found).replace(',', ', ')}]"
+    return "kp = " + json.dumps(_stiffnesses(found))
+
+
+def _stiffnesses(found: TorqueGains) -> list[float | str]:
+    """Return the stiffness of each servo, "auto" if it is undetermined."""
+    return [
+        float(f"{gain:.6g}") if determined else "auto"
+        for gain, determined in zip(found.gains, found.determined, strict=True)
+    ]
 
 
 def _number_pair(values: tuple[float, float]) -> list[float | None]:
