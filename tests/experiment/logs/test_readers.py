@@ -507,14 +507,3 @@ def test_real_recordings(shared: Path, tmp_path: Path) -> None:
     table = np.loadtxt(log, delimiter=",")
     np.testing.assert_allclose(run.tau, table[:, 13:19] * UR10E_GAINS, rtol=1e-12)
     np.testing.assert_array_equal(run.t, table[:, 0])
-
-
-def test_a_line_that_ends_early_is_left_out(tmp_path: Path) -> None:
-    log = tmp_path / "log.csv"
-    log.write_text("t,q_1,tau_1\n0,1,2\n0.1,1,2\n0.2,1")
-    recording = read_recording(log)
-    assert recording.n_samples == 2
-    assert any("ends early" in note for note in recording.notes)
-    assert [chunk.n_samples for chunk in stream_recording(log)] == [2]
-    log.write_text("t,q_1,tau_1\n0,1,2\n0.1,1,2\n0.2,1,3")
-    assert read_recording(log).n_samples == 3

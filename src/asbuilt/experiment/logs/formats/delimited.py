@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -254,29 +253,11 @@ def read_delimited(path: Path, dialect: Dialect | None = None) -> LogTable:
         frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
         raise bad_cell(path, dialect, error) from error
-    notes: tuple[str, ...] = ()
-    if frame.height > 1 and _ends_early(path, dialect):
-        frame, notes = (
-            frame[:-1],
-            (f"the last line of {path.name}, which ends early, was left out",),
-        )
     frame = _with_times(path, frame, dialect)
     return replace(
         _header_of(path, dialect),
         columns={name: numbers(frame[name]) for name in dialect.numeric},
-        notes=notes,
     )
-
-
-def _ends_early(path: Path, dialect: Dialect) -> bool:
-    """Return whether the last line lacks its end and cells, since its writer was stopped."""
-    with path.open("rb") as file:
-        file.seek(-min(LONGEST_LINE, path.stat().st_size), os.SEEK_END)
-        end = file.read()
-    if end.endswith((b"\n", b"\r")):
-        return False
-    last = end[end.rfind(b"\n") + 1 :].decode("utf-8", "replace")
-    return 0 < len(_fields(last, dialect.separator)) < len(dialect.names)
 
 
 def _header_of(path: Path, dialect: Dialect) -> LogTable:
@@ -449,22 +430,11 @@ def _frames(
     scanned = without_blank_lines(scan_delimited(path, dialect).select(columns))
     done = 0
     try:
-        batches = scanned.collect_batches(chunk_size=chunk_samples, maintain_order=True)
-        for frame, is_last in _marking_last(batches):
-            kept = frame[:-1] if is_last and _ends_early(path, dialect) else frame
-            yield done, _with_times(path, kept, dialect)
+        for frame in scanned.collect_batches(chunk_size=chunk_samples, maintain_order=True):
+            yield done, _with_times(path, frame, dialect)
             done += frame.height
     except pl.exceptions.PolarsError as error:
         raise bad_cell(path, dialect, error) from error
-
-
-def _marking_last(batches: Iterator[pl.DataFrame]) -> Iterator[tuple[pl.DataFrame, bool]]:
-    """Yield frames, and whether each is the last."""
-    held = next(batches, None)
-    while held is not None:
-        following = next(batches, None)
-        yield held, following is None
-        held = following
 
 
 def _is_echo(path: Path, sheet: RecordingSheet) -> bool:
