@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from asbuilt.description.locking import lock_findings
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.signal.samples import Samples
@@ -169,8 +170,13 @@ def _model_findings(
         ),
         *servo_findings(fits.model, fits.servo, fits.choice.drive),
         *refinement_findings(fits.refined),
-        *cause_findings(attribution),
+        *(cause_findings(attribution) if _has_masses(fits.model) else ()),
     )
+
+
+def _has_masses(model: RobotModel) -> bool:
+    """Return whether the description has masses, without which CAD has no error to explain."""
+    return any(link.inertia_known and link.inertia.mass > 0.0 for link in model.links)
 
 
 def _together(fits: Fits, predictions: Sequence[Validation]) -> tuple[TorqueMetrics, TorqueMetrics]:
