@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Mask
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
@@ -71,14 +71,10 @@ def common_growth(
         return CommonGrowth(1.0, 0.0)
     rank = effective_rank(moves)
     pairs = _Pairs.of(moves, absorbed, leverage)
-    after = _successors(information)
-    again = _without(_along(repetitions(information, grams), after), after)
-    known = np.vstack([after, again])
-    parts = [
-        pairs.sum(*after.T),
-        pairs.sum(*again.T),
-        pairs.within(different_motions(information, estimate.weights), known),
-    ]
+    after = _successive(information)
+    again = np.triu(_along(repetitions(information, grams), after), 1) & ~after
+    alike = _of_like_motion(information, estimate) & ~after & ~again
+    parts = [pairs.sum(each) for each in (after, again, alike)]
     spread = sum(each.spread for each in parts) / rank
     lasting, *shared = parts
     along = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
@@ -120,15 +116,18 @@ def _unit_variance(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
-def repetitions(information: SquareRootInformation, grams: Array) -> Indices:
-    """Return the pairs (m, 2) of blocks that repeat a motion: information per sample is alike."""
+def repetitions(information: SquareRootInformation, grams: Array) -> Mask:
+    """Return which pairs of blocks repeat a motion, the first lower, shape (n_blocks, n_blocks).
+
+    Their information per sample is alike.
+    """
     samples = np.array([block.n_samples for block in information.blocks], dtype=np.float64)
     features = (grams / samples[:, None, None]).reshape(len(grams), -1)
     products = features @ features.T
     size = np.diag(products)
     total = size[:, None] + size
     apart = np.maximum(total - 2.0 * products, 0.0)
-    return np.argwhere(np.triu(apart < LIKE**2 * total, 1))
+    return np.asarray(np.triu(apart < LIKE**2 * total, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,82 +159,56 @@ class _Shared:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Sum products of the moves of blocks, less what independent residuals give after a fit."""
+    """Hold products of the moves of blocks, (n_blocks, n_blocks), and what a fit takes from them.
 
-    moves: Array
-    absorbed: Array
-    energy: Array
-    unit: float
+    The latter is that of independent residuals.
+    """
+
+    products: Array
+    taken: Array
 
     @classmethod
     def of(cls, moves: Array, absorbed: Array, leverage: float) -> _Pairs:
-        energy = np.sum(moves**2, axis=1)
-        return cls(moves, absorbed, energy, float(energy.sum()) / leverage)
+        products, flat = moves @ moves.T, absorbed.reshape(len(moves), -1)
+        return cls(products, float(np.trace(products)) / leverage * (flat @ flat.T))
 
-    def sum(self, first: Indices, second: Indices) -> _Shared:
+    def sum(self, which: Mask) -> _Shared:
         """Return the sum over pairs of blocks."""
-        energy, whole = self.energy, float(self.energy.sum())
-        taken = sum(
-            float(np.sum(self.absorbed[b] * self.absorbed[c]))
-            for b, c in zip(first, second, strict=True)
-        )
+        energy = np.diag(self.products)
+        whole = float(energy.sum())
         return _Shared(
-            2.0 * float(np.sum(self.moves[first] * self.moves[second])) / whole,
-            2.0 * self.unit * taken / whole,
-            4.0 * float(energy[first] @ energy[second]) / whole**2,
-        )
-
-    def within(self, groups: Sequence[Indices], known: Indices) -> _Shared:
-        """Return the sum over pairs of the same group, without `known` pairs (m, 2)."""
-        group = np.empty(len(self.moves), dtype=np.int64)
-        products = absorbed = spread = 0.0
-        whole = float(self.energy.sum())
-        for k, own in enumerate(groups):
-            group[own] = k
-            move, taken = self.moves[own].sum(axis=0), self.absorbed[own].sum(axis=0)
-            each = sum(float(np.sum(self.absorbed[b] ** 2)) for b in own)
-            energy = self.energy[own]
-            products += float(move @ move - energy.sum())
-            absorbed += self.unit * (float(np.sum(taken**2)) - each)
-            spread += 2.0 * float(energy.sum() ** 2 - np.sum(energy**2))
-        less = self.sum(*known[group[known[:, 0]] == group[known[:, 1]]].T)
-        return _Shared(
-            products / whole - less.products,
-            absorbed / whole - less.absorbed,
-            max(spread / whole**2 - less.spread, 0.0),
+            2.0 * float(self.products[which].sum()) / whole,
+            2.0 * float(self.taken[which].sum()) / whole,
+            4.0 * float(energy @ which @ energy) / whole**2,
         )
 
 
-def _successors(information: SquareRootInformation) -> Indices:
-    """Return the pairs (m, 2) of successive blocks."""
+def _successive(information: SquareRootInformation) -> Mask:
+    """Return which pairs of blocks are successive, the first lower."""
     blocks = information.blocks
-    pairs = [
-        (b, b + 1)
-        for b in range(len(blocks) - 1)
-        if blocks[b].source == blocks[b + 1].source
-        and 0.0 <= blocks[b + 1].start - blocks[b].stop < 0.5 * (blocks[b].stop - blocks[b].start)
-    ]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    found = np.zeros((len(blocks),) * 2, dtype=np.bool_)
+    for b, (block, other) in enumerate(pairwise(blocks)):
+        found[b, b + 1] = block.source == other.source and 0.0 <= other.start - block.stop < 0.5 * (
+            block.stop - block.start
+        )
+    return found
 
 
-def _along(repeated: Indices, after: Indices) -> Indices:
+def _along(repeated: Mask, after: Mask) -> Mask:
     """Return pairs that repeat a motion, and those of one block and the successor of the other.
 
     What successive blocks share in one recording is shared across repetitions too.
     """
-    first, second = repeated.T
-    followed = after[:, 0]
-    return np.vstack(
-        [
-            repeated,
-            np.column_stack([first, second + 1])[np.isin(second, followed)],
-            np.column_stack([first + 1, second])[np.isin(first, followed)],
-        ]
-    )
+    both = repeated | repeated.T
+    followed = np.diag(after, 1)
+    found = both.copy()
+    found[:, 1:] |= both[:, :-1] & followed
+    return found | found.T
 
 
-def _without(pairs: Indices, others: Indices) -> Indices:
-    """Return the different pairs of different blocks that are not among others, the first lower."""
-    left = set(map(tuple, np.sort(pairs).tolist())) - set(map(tuple, others.tolist()))
-    found = sorted(pair for pair in left if pair[0] != pair[1])
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+def _of_like_motion(information: SquareRootInformation, estimate: Estimate) -> Mask:
+    """Return which pairs of blocks are in the same group of like motion, the first lower."""
+    number = np.empty(information.n_blocks, dtype=np.int64)
+    for k, group in enumerate(different_motions(information, estimate.weights)):
+        number[group] = k
+    return np.asarray(np.triu(number[:, None] == number, 1))
