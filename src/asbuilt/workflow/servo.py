@@ -274,9 +274,9 @@ def servo_findings(
             Finding(
                 "servo_not_replayed",
                 "warning",
-                "The robot as identified diverges under the logged command, so that errors by noise"
-                " of the positions and by friction at reversals are not corrected: standard errors"
-                " are too small",
+                "The robot as identified diverges or rests under the logged command, so that errors"
+                " by noise of the positions and by friction at reversals are not corrected;"
+                " standard errors are too small",
                 Cure("check the gains of the servo, and record more motion"),
             )
         )

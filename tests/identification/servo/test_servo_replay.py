@@ -16,7 +16,7 @@ from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.servo.servo_estimate import estimate_servo
-from asbuilt.identification.servo.servo_replay import position_noise, replayed
+from asbuilt.identification.servo.servo_replay import position_noise, replay, replayed
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.simulated_robot import robot_as_described
 from asbuilt.identification.trajectories.windows import Windows
@@ -128,3 +128,12 @@ def test_what_noise_of_the_positions_adds_on_average_is_taken_away(exact):
     }
     assert np.max(bias[False]) > 0.02
     assert np.max(bias[True]) < 0.25 * np.max(bias[False])
+
+
+def test_a_replay_of_a_robot_that_rests_is_none(exact):
+    model, recording = exact
+    base = find_base_parameters(model, DRIVE)
+    stuck = np.append(model.parameters, np.tile([0.02, 0.4, 50.0], 3))
+    driven = driven_by_command(recording, SERVO)
+    chain = resolve_chain(SignalChain(), driven)
+    assert replay(model, base, [driven], SERVO, chain, stuck) is None

@@ -68,8 +68,8 @@ def fit_delay(
     Links have a prior from CAD. What does not average out (`replayed`) is taken off the scores.
     Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
     everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933). It is at
-    least that of the noise that was replayed, or, without a replay, that of independent residuals;
-    what is taken off has an error too (`DOUBT`).
+    least that of the noise that was replayed; without a replay, or with too few blocks, that of
+    independent residuals. What is taken off has an error too (`DOUBT`).
     """
     n, p = len(rows.support), base.n_standard
     prior = np.eye(p + 1) / RULES.drives**2
@@ -109,10 +109,12 @@ def fit_delay(
             own = weight[k] * lengths * float(replayed.weighted[k] @ along[k])
             scores, taken = scores - own, taken + float(np.sum(own))
     variance, together = float(inverse[-1]), clustered(scores, rows)
-    if replayed is not None:
-        variance = replayed.variance([scale[k] * each for k, each in enumerate(along)])
     if together.size >= FEWEST_BLOCKS:
-        variance = max(variance, float(together @ together) * together.size / (together.size - 1))
+        least = variance
+        if replayed is not None and replayed.sees_noise:
+            least = replayed.variance([scale[k] * each for k, each in enumerate(along)])
+        scatter = float(together @ together) * together.size / (together.size - 1)
+        variance = max(least, scatter)
     variance += (DOUBT * taken) ** 2
     left = np.array([rows.variances(k, residual) for k, residual in enumerate(residuals)])
     usual = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.inf for each in left])

@@ -21,6 +21,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -79,6 +80,11 @@ class Replay:
     draws: tuple[Array, ...]
     copies: int
 
+    @property
+    def sees_noise(self) -> bool:
+        """Whether the copies differ by noise alone, so that their variance is that of noise."""
+        return min(len(draws) for draws in self.draws) > 0
+
     def variance(self, along: Sequence[Array]) -> float:
         """Return the variance by noise of `sum_k along_k @ scores_k`, scores weighted."""
         moves = sum(draws @ x for draws, x in zip(self.draws, along, strict=True))
@@ -96,9 +102,9 @@ def replay(
     *,
     roughly: bool = False,
 ) -> Replay | None:
-    """Replay recordings by a robot and return what does not average out; None if it diverges.
+    """Replay recordings by a robot and return what does not average out.
 
-    The columns are `[W_k, qd, du/dt]`.
+    None if the robot diverges under the command, or rests. The columns are `[W_k, qd, du/dt]`.
 
     Parameters
     ----------
@@ -130,12 +136,11 @@ def replay(
             driven_by_command(each, own) for each in _with_noise(recording, clean, pairs, rng)
         ]
         late = servo.delay or 0.0
-        copies.append(
-            [
-                _Copy.of(servo_rows(model, base, [each], chain, late, holdout), beta, servo)
-                for each in driven
-            ]
-        )
+        try:
+            rows = [servo_rows(model, base, [each], chain, late, holdout) for each in driven]
+        except RecordingError:
+            return None
+        copies.append([_Copy.of(each, beta, servo) for each in rows])
     every = [copy for own in copies for copy in own]
     names = tuple(tuple(base.names[j] for j in support) for support in every[0].support)
     joints = range(model.n_joints)
@@ -294,7 +299,7 @@ def _mean(copies: Sequence[_Copy], k: int, *, weighted: bool) -> Array:
 def _moves(copies: Sequence[_Copy], k: int) -> Array:
     """Return what noise changes in the weighted scores of a joint's clusters of blocks.
 
-    None if the copies have other blocks each, since some rest where others move.
+    Empty if the copies have other blocks each, since some rest where others move.
     """
     if len({copy.lengths.size for copy in copies}) > 1:
         return np.zeros((0, copies[0].scores[k].shape[1]))
