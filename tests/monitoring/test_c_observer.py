@@ -19,6 +19,7 @@ from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds
+from asbuilt.writers.models.c.observer_files import write_observer
 from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.reports.study_files import write_result
 from compiled_observer import Compiled, CompiledObserver
@@ -78,6 +79,15 @@ def test_observer_of_a_recording_is_that_in_python(watched: WatchedRobot, tmp_pa
     samples = list(zip(log.t[:600], log.q, log.qd, tau, strict=False))
     assert check_same(observer, in_c, samples) > 10
     assert "alloc" not in in_c.text
+
+
+def test_header_gives_the_filter_that_thresholds_count_on(
+    watched: WatchedRobot, tmp_path: Path
+) -> None:
+    given = replace(watched.thresholds, filtered=True)
+    for thresholds, named in ((watched.thresholds, False), (given, True)):
+        header = write_observer(tmp_path / "a.c", watched.result, thresholds=thresholds)[1]
+        assert ("causal filter" in header.read_text()) is named
 
 
 def test_observer_is_that_in_python(result: IdentificationResult, in_c: CompiledObserver) -> None:

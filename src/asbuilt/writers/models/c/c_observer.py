@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.monitoring.causal_filter import filter_pole
 from asbuilt.monitoring.observer import BANDWIDTH, LONGEST_STEP
 from asbuilt.monitoring.thresholds import HALF, Thresholds
 
@@ -131,12 +132,18 @@ void {name}_observer_update({name}_observer *observer, double dt, const double q
 
 def _threshold_header(name: str, n: int, thresholds: Thresholds) -> str:
     rate = thresholds.false_alarms_per_hour
+    filtered = ""
+    if thresholds.filtered:
+        pole = filter_pole(thresholds.bandwidth, thresholds.rate)
+        filtered = f"""
+ * They were set on positions and torques behind one causal filter, x'' = w^2 (u - x) - 2 w x' with
+ * w = {pole!r} rad/s: give the update both filtered, and x' of the positions as velocities."""
     return f"""
 /*
  * Thresholds for {rate:g} false alarms per hour, all joints together, in motions like the
  * {3600.0 * thresholds.hours:.0f} s that they were set on: level times the scale of the errors at
  * this speed and pose, the covariance of the parameters included, and half of the steps of torque.
- * q is that of the last update.
+ * q is that of the last update.{filtered}
  */
 void {name}_observer_threshold(const {name}_observer *observer, const double q[{n}],
     double threshold[{n}]);
