@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from asbuilt.dynamics.drives.term import (
-    DriveTerm,
-    NonlinearParameter,
-    NonlinearValue,
-    drive_term,
-)
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearValue, drive_term
+from asbuilt.dynamics.drives.terms.load.fading import FADING
 
 
 @drive_term
@@ -28,10 +24,5 @@ class LoadStribeck(DriveTerm):
     formula = "Fls |load| exp(-|qd/velocity|^power) sign(qd)"
     revolute_units = ("1",)
     prismatic_units = ("1",)
-    nonlinear = (
-        NonlinearParameter(
-            "velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
-        ),
-        NonlinearParameter("power", 2.0, 0.5, 10.0, "", fitted=False, typical=2.0),
-    )
+    nonlinear = FADING
     ratio_powers = (0.0,)

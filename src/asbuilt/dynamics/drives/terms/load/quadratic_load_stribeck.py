@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from asbuilt.dynamics.drives.term import (
-    DriveTerm,
-    NonlinearParameter,
-    NonlinearValue,
-    drive_term,
-)
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearValue, drive_term
+from asbuilt.dynamics.drives.terms.load.fading import FADING
 
 
 @drive_term
@@ -33,10 +29,5 @@ class QuadraticLoadStribeck(DriveTerm):
     formula = "(Flqm max(load sign(qd), 0)^2 + Flqe max(-load sign(qd), 0)^2) s(qd) sign(qd)"
     revolute_units = ("1/(N m)", "1/(N m)")
     prismatic_units = ("1/N", "1/N")
-    nonlinear = (
-        NonlinearParameter(
-            "velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
-        ),
-        NonlinearParameter("power", 2.0, 0.5, 10.0, "", fitted=False, typical=2.0),
-    )
+    nonlinear = FADING
     ratio_powers = (-1.0, -1.0)

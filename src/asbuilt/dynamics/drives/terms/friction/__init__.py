@@ -1,0 +1,1 @@
+"""Friction by the velocity of the joint alone."""

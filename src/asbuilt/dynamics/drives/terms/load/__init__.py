@@ -1,0 +1,1 @@
+"""Friction by the load of gears and bearings."""

@@ -1,0 +1,1 @@
+"""Rotors that several joints turn."""
