@@ -20,8 +20,9 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
 from asbuilt.identification.identify import identify_samples
+from asbuilt.validation.log_errors.log_error_search import LogError
 from asbuilt.validation.log_errors.log_error_text import log_error_findings
-from asbuilt.validation.log_errors.log_errors import LogError, log_errors
+from asbuilt.validation.log_errors.log_errors import log_errors
 from asbuilt.validation.log_errors.plateaus import plateaus
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

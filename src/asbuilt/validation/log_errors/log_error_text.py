@@ -13,7 +13,8 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.calibration.mounting import Mounting
 from asbuilt.validation.log_errors.error_columns import Kind
-from asbuilt.validation.log_errors.log_errors import LogError, Sought, sought_errors
+from asbuilt.validation.log_errors.log_error_search import LogError
+from asbuilt.validation.log_errors.log_errors import Sought, sought_errors
 from asbuilt.validation.log_errors.plateaus import Plateau, plateaus, without_plateaus
 from asbuilt.validation.prediction import torque_units
 

@@ -1,0 +1,34 @@
+"""Sizes of errors of a log: what a robot in use can have, and what matters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.validation.log_errors.error_columns import Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Say between which values an error is plausible, and from which size on it matters."""
+
+    lowest: float
+    highest: float
+    matters: float
+
+
+BOUNDS: dict[Kind, Bounds] = {
+    "clock": Bounds(-np.inf, np.inf, 0.01),
+    "zero": Bounds(-np.deg2rad(20.0), np.deg2rad(20.0), np.deg2rad(0.3)),
+    "scale": Bounds(-1.15, 1.0, 0.03),
+    "nonlinear": Bounds(-0.8, 0.0, 0.05),
+    "drift": Bounds(-np.inf, np.inf, 0.02),
+    "warming": Bounds(-1.5, 1.5, 0.05),
+    "spring": Bounds(0.0, np.inf, 0.02),
+}
+"""Own choices: what a robot in use can have; `drift` and `spring` in largest torques of a joint."""
+IN_TORQUES = ("drift", "spring")
+NAMED = 0.05
+"""Share of the squared residual from which on an error is named."""
+PRISMATIC_ZERO = Bounds(-0.05, 0.05, 1e-3)
