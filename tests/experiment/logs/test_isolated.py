@@ -44,6 +44,10 @@ def is_killed_before(path):
         os.kill(os.getpid(), signal.SIGKILL)
     return process(path)
 
+def text(path):
+    size = float(path.stat().st_size)
+    return LogTable(source=str(path), columns={"size": np.array([size])}, notes=(str(os.getpid()),))
+
 def marks(path):
     limits.__doc__ = "marked"
     return process(path)
@@ -51,7 +55,7 @@ def marks(path):
 
 
 @pytest.fixture
-def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], LogTable]]:
+def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., LogTable]]:
     name = f"readers_of_{tmp_path.name.replace('-', '_')}"
     (tmp_path / f"{name}.py").write_text(READERS)
     log = tmp_path / "log.bin"
@@ -59,7 +63,7 @@ def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[
     monkeypatch.syspath_prepend(tmp_path)
     module = __import__(name)
     monkeypatch.setattr(isolated, "_idle", [])
-    yield lambda what: read_isolated(getattr(module, what), log)
+    yield lambda what, path=log: read_isolated(getattr(module, what), path)
     isolated._end_idle()
     sys.modules.pop(name)
 
@@ -76,17 +80,31 @@ def is_running(process: int) -> bool:
     return True
 
 
-def test_one_process_reads_many_files(read: Callable[[str], LogTable]) -> None:
+def test_one_process_reads_many_files(read: Callable[..., LogTable]) -> None:
     first = process_of(read("process"))
     assert first != os.getpid()
     assert {process_of(read("process")) for _ in range(3)} == {first}
+
+
+def test_a_relative_path_counts_from_the_folder_of_the_call(
+    read: Callable[..., LogTable], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    processes = set()
+    for size in (1, 2):
+        (tmp_path / str(size)).mkdir()
+        (tmp_path / str(size) / "log.bin").write_bytes(b"0" * size)
+        monkeypatch.chdir(tmp_path / str(size))
+        table = read("text", Path("log.bin"))
+        assert table.columns["size"].tolist() == [size]
+        processes |= set(table.notes)
+    assert len(processes) == 1
 
 
 @pytest.mark.parametrize(
     ("what", "said"), [("refuses", "no numbers"), ("crashes", "crashes its reader (SIGSEGV)")]
 )
 def test_a_process_that_met_an_error_is_not_used_again(
-    read: Callable[[str], LogTable], what: str, said: str
+    read: Callable[..., LogTable], what: str, said: str
 ) -> None:
     first = process_of(read("process"))
     with pytest.raises(RecordingError) as caught:
@@ -97,7 +115,7 @@ def test_a_process_that_met_an_error_is_not_used_again(
 
 
 def test_a_file_that_takes_too_long_ends_its_process(
-    read: Callable[[str], LogTable], monkeypatch: pytest.MonkeyPatch
+    read: Callable[..., LogTable], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = process_of(read("process"))
     monkeypatch.setattr(isolated, "LIMITS", replace(isolated.LIMITS, time=0.3))
@@ -106,7 +124,7 @@ def test_a_file_that_takes_too_long_ends_its_process(
     assert not is_running(first)
 
 
-def test_a_process_that_was_killed_while_idle_is_replaced(read: Callable[[str], LogTable]) -> None:
+def test_a_process_that_was_killed_while_idle_is_replaced(read: Callable[..., LogTable]) -> None:
     first = process_of(read("process"))
     os.kill(first, signal.SIGKILL)
     assert process_of(read("process")) != first
@@ -115,7 +133,7 @@ def test_a_process_that_was_killed_while_idle_is_replaced(read: Callable[[str], 
 
 
 def test_every_file_has_limits_of_its_own(
-    read: Callable[[str], LogTable], monkeypatch: pytest.MonkeyPatch
+    read: Callable[..., LogTable], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read("process")
     tables = []
@@ -130,7 +148,7 @@ def test_every_file_has_limits_of_its_own(
 
 
 def test_a_process_is_replaced_after_many_files(
-    read: Callable[[str], LogTable], monkeypatch: pytest.MonkeyPatch
+    read: Callable[..., LogTable], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(isolated, "MOST_FILES", 2)
     found = [process_of(read("process")) for _ in range(4)]

@@ -322,11 +322,13 @@ def nanoseconds_beside(name: str, names: Sequence[str]) -> str | None:
 
     >>> nanoseconds_beside("stamp.sec", ["stamp.sec", "stamp.nanosec"])
     'stamp.nanosec'
+    >>> nanoseconds_beside("ZeitInSec", ["ZeitInSec", "ZeitInNanoSec"])
+    'ZeitInNanoSec'
     """
     *before, last = words_of(name) or [""]
     if last not in _SECONDS:
         return None
-    wanted = [[*before, last] for last in _NANOSECONDS]
+    wanted = [[*before, last] for last in _NANOSECONDS] + [[*before, "nano", last]]
     return next((each for each in names if words_of(each) in wanted), None)
 
 

@@ -210,8 +210,8 @@ def position_noise(recording: Recording) -> Array:
     >>> t = np.arange(4000) / 100.0
     >>> noise = 1e-3 * np.random.default_rng(0).standard_normal((4000, 1))
     >>> q = np.sin(2.0 * np.pi * t)[:, None] + noise
-    >>> round(1e3 * position_noise(Recording(t=t, q=q, tau=q))[0], 1)
-    1.0
+    >>> position_noise(Recording(t=t, q=q, tau=q)).round(4).tolist()
+    [0.001]
     """
     q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
     if len(q) < RULES.window:

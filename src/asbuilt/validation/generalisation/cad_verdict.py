@@ -36,6 +36,8 @@ class VerdictRule:
     shortest: float = 1.0
 
 
+MANY = 100.0
+"""Standard errors from which on a text gives no number: few blocks show no more."""
 RULE = VerdictRule()
 
 
@@ -196,7 +198,9 @@ def _verdict(
 
 
 def _named(joint: JointVerdict) -> str:
+    size = abs(joint.sigmas or 0.0)
+    errors = f"{size:.1f}" if size < MANY else f"over {MANY:g}"
     return (
         f"{joint.joint} ({significant(joint.as_built)} for {significant(joint.cad)} {joint.unit},"
-        f" {abs(joint.sigmas or 0.0):.1f} standard errors)"
+        f" {errors} standard errors)"
     )

@@ -60,11 +60,13 @@ def numbers(series: pl.Series) -> Array:
 def seconds(series: pl.Series) -> Array:
     """Turn time stamps or durations into seconds, time stamps since 1970."""
     kind = pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")
-    return (
-        (series.cast(kind).cast(pl.Int64).cast(pl.Float64) * 1e-9)
-        .fill_null(float("nan"))
-        .to_numpy()
-    )
+    return _from_nanoseconds(series.cast(kind))
+
+
+def _from_nanoseconds(times: pl.Series) -> Array:
+    """Return seconds (N,) of times that count nanoseconds, NaN where there are none."""
+    counted = times.cast(pl.Int64).cast(pl.Float64).fill_null(float("nan"))
+    return np.asarray(counted.to_numpy() / 1e9)
 
 
 def seconds_of_text(series: pl.Series) -> Array | None:
@@ -83,14 +85,14 @@ def seconds_of_text(series: pl.Series) -> Array | None:
         of_day = series.str.to_time("%H:%M:%S%.f", strict=True)
     except pl.exceptions.PolarsError:
         return None
-    return (of_day.cast(pl.Int64).cast(pl.Float64) * 1e-9).fill_null(float("nan")).to_numpy()
+    return _from_nanoseconds(of_day)
 
 
 def _numbers(values: Array) -> Array | None:
     """Return a column as floats, time stamps in seconds; None if it does not hold numbers."""
     if values.dtype.kind in "mM":
         nanoseconds = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
-        return nanoseconds.astype(np.float64) * 1e-9
+        return nanoseconds.astype(np.float64) / 1e9
     if values.dtype.kind not in "biuf":
         return None
     return values.astype(np.float64)

@@ -181,6 +181,7 @@ def _call(
         "module": read.__module__,
         "function": read.__name__,
         "path": str(path),
+        "folder": str(Path.cwd()),
         "settings": dict(settings),
         "memory": LIMITS.memory_for(size),
         "time": LIMITS.time_for(size),
@@ -283,6 +284,7 @@ def serve(parent: int) -> None:
 def _answer(request: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
     path = Path(request["path"])
     try:
+        os.chdir(request["folder"])
         read = getattr(importlib.import_module(request["module"]), request["function"])
         _limit(request["memory"], request["time"])
         table: LogTable = read(path, **request["settings"])
