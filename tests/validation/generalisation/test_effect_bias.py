@@ -134,5 +134,6 @@ def test_the_bias_that_two_results_share_is_no_error_of_their_difference() -> No
     np.testing.assert_allclose(swapped.std_errors, between.std_errors, rtol=1e-12)
     test = between.test(np.ones(len(places), dtype=np.bool_))
     assert 0.001 < test.probability < 0.999
+    assert test.degrees == len(places)
     narrow = between.std_errors / widening(between.degrees_of_freedom)
     np.testing.assert_allclose(np.sqrt(np.diag(between.covariance)), narrow, rtol=1e-6)

@@ -163,8 +163,19 @@ class Between:
 
     @property
     def covariance(self) -> Array:
-        """Covariance (p, p), not widened."""
-        return self._sum(self.first.covariance, self.second.covariance, narrow=True)
+        """Covariance (p, p), not widened; a bias that both share is no error of the difference."""
+        wide, other = (
+            widening(values.degrees_of_freedom[places])
+            for values, places in ((self.first, self.one), (self.second, self.two))
+        )
+        together = self._sum(
+            self.first.covariance,
+            self.second.covariance,
+            np.outer(wide, wide),
+            np.outer(other, other),
+        )
+        shared = self._narrow(np.outer(*self._biases))
+        return np.asarray(together - shared - shared.T)
 
     def test(self, tested: Mask) -> ChiSquare:
         """Test the difference of all tested parameters at once."""
@@ -217,16 +228,12 @@ class Between:
         )
         return np.asarray(products / (np.outer(one, two) if products.ndim == 2 else one * two))
 
-    def _sum(self, first: Array, second: Array, *, narrow: bool = False) -> Array:
+    def _sum(
+        self, first: Array, second: Array, wide: Array | float = 1.0, other: Array | float = 1.0
+    ) -> Array:
+        """Return the sum of matrices of both sets of values, each without its widening."""
         one, two = first[np.ix_(self.one, self.one)], second[np.ix_(self.two, self.two)]
-        if narrow:
-            wide = widening(self.first.degrees_of_freedom[self.one])
-            one = one / np.outer(wide, wide)
-            wide = widening(self.second.degrees_of_freedom[self.two])
-            two = two / np.outer(wide, wide)
-        shared = np.outer(*self._biases)
-        shared = self._narrow(shared) if narrow else shared
-        return np.asarray(one + two - shared - shared.T)
+        return np.asarray(one / wide + two / other)
 
 
 def tested_values(result: IdentificationResult) -> ComparedValues:
