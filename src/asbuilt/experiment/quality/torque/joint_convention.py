@@ -72,14 +72,10 @@ class Conventions:
         surplus = len(self.changed) + _joints_beyond(self.fit)
         return self.fit.cost + THRESHOLDS.fall * surplus
 
-    def same(self, other: Conventions) -> bool:
-        """Whether the conventions are those of another order of changes."""
-        pairs = (
-            (self.position_sign, other.position_sign),
-            (self.torque_sign, other.torque_sign),
-            (self.zero, other.zero),
-        )
-        return all(np.array_equal(one, two) for one, two in pairs)
+    @property
+    def key(self) -> tuple[bytes, ...]:
+        """What tells conventions apart, in whichever order they were reached."""
+        return tuple(each.tobytes() for each in (self.position_sign, self.torque_sign, self.zero))
 
     def with_joint(self, k: int, position: float, torque: float, zero: float) -> Conventions:
         """Return these conventions with joint k multiplied by two signs, from another zero."""
@@ -120,15 +116,13 @@ def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     logged = best = Conventions.as_logged(fit)
     front, near = [logged], []
     for _ in range(fit.model.n_joints):
-        changes = sorted(
-            (change for each in front for change in each.changes()), key=lambda each: each.cost
-        )
-        front = changes[: THRESHOLDS.kept]
+        changes = {change.key: change for each in front for change in each.changes()}
+        front = sorted(changes.values(), key=lambda each: each.cost)[: THRESHOLDS.kept]
         if not front or front[0].cost > best.cost:
             break
         best = front[0]
         limit = best.cost + THRESHOLDS.near
-        near = [each for each in front[1:] if each.cost < limit and not each.same(best)]
+        near = [each for each in front[1:] if each.cost < limit]
     if best is logged or not _explained(fit, best.fit):
         return None
     before, after = (_mean_correlation(each, _fallen(fit, best.fit)) for each in (fit, best.fit))
