@@ -180,8 +180,18 @@ class RobotModel:
 
     @property
     def n_joints(self) -> int:
-        """Number of joints, which is the number of links."""
+        """Number of joints: columns of a log, and drives."""
         return len(self.joints)
+
+    @property
+    def n_links(self) -> int:
+        """Number of moving links, each with ten inertial parameters."""
+        return len(self.links)
+
+    @property
+    def link_joints(self) -> tuple[int, ...]:
+        """Joint whose drive moves each link relative to its parent, counted from 0."""
+        return tuple(range(self.n_links))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -241,12 +251,11 @@ class RobotModel:
         Raises `DescriptionError` for another shape.
         """
         values = np.asarray(parameters, dtype=np.float64)
-        if values.shape != (10 * self.n_joints,):
+        if values.shape != (10 * self.n_links,):
             raise DescriptionError(
-                f"{self.name} has {10 * self.n_joints} inertial parameters, got shape"
-                f" {values.shape}"
+                f"{self.name} has {10 * self.n_links} inertial parameters, got shape {values.shape}"
             )
-        inertias = [LinkInertia(values[10 * i : 10 * i + 10]) for i in range(self.n_joints)]
+        inertias = [LinkInertia(values[10 * i : 10 * i + 10]) for i in range(self.n_links)]
         links = tuple(
             replace(link, inertia=inertia, inertia_known=True, parts=())
             for link, inertia in zip(self.links, inertias, strict=True)

@@ -65,14 +65,14 @@ def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
 
 
 def inertial_parameters(model: RobotModel, parameters: ArrayLike | None) -> Array:
-    """Return the standard inertial parameters as (n_joints, 10).
+    """Return the standard inertial parameters as (n_links, 10).
 
     The model's own where none are given; raises `UsageError` for another number.
     """
     chi = model.parameters if parameters is None else np.array(parameters, dtype=np.float64)
-    if chi.shape != (10 * model.n_joints,):
+    if chi.shape != (10 * model.n_links,):
         raise UsageError(
-            f"{model.name} has {10 * model.n_joints} inertial parameters, got shape {chi.shape};"
+            f"{model.name} has {10 * model.n_links} inertial parameters, got shape {chi.shape};"
             " leave drive parameters out"
         )
     return chi.reshape(-1, 10)

@@ -76,7 +76,7 @@ def inverse_dynamics(
     N for prismatic joints].
 
     `q, qd, qdd` have shape (n_joints,) or (n_samples, n_joints), and so has the result.
-    `parameters` (10 n_joints,) replace the model's own. `threads` None uses all cores for long
+    `parameters` (10 n_links,) replace the model's own. `threads` None uses all cores for long
     inputs; the result does not depend on it. Raises UsageError for shapes that do not fit and for
     values that are not finite. Source: Luh, Walker and Paul (1980).
     """

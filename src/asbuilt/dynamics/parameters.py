@@ -14,9 +14,9 @@ from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 
 
 def parameter_count(model: RobotModel, drive: DriveSet = NO_DRIVE) -> int:
-    """Return the number of standard parameters, `(10 + columns_per_joint) n_joints`."""
+    """Return the number of standard parameters, `10 n_links + columns_per_joint n_joints`."""
     drive.check_joints(model.n_joints)
-    return (len(PARAMETER_NAMES) + drive.columns_per_joint) * model.n_joints
+    return len(PARAMETER_NAMES) * model.n_links + drive.columns_per_joint * model.n_joints
 
 
 def parameter_names(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str, ...]:
@@ -24,9 +24,12 @@ def parameter_names(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str,
 
     `Ixx1 ... m1 Ixx2 ... mn`, then `Ia1 Fv1 Fc1 Fo1 Ia2 ...` as chosen.
     """
-    numbers = range(1, model.n_joints + 1)
-    links = tuple(f"{name}{number}" for number in numbers for name in PARAMETER_NAMES)
-    return links + tuple(name for number in numbers for name in drive.names(number))
+    links = tuple(
+        f"{name}{number}" for number in range(1, model.n_links + 1) for name in PARAMETER_NAMES
+    )
+    return links + tuple(
+        name for number in range(1, model.n_joints + 1) for name in drive.names(number)
+    )
 
 
 def parameter_units(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str, ...]:
@@ -35,7 +38,7 @@ def parameter_units(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str,
     A drive parameter's depends on whether its joint turns or slides.
     """
     drives = tuple(unit for joint in model.joints for unit in drive.units(joint.kind))
-    return PARAMETER_UNITS * model.n_joints + drives
+    return PARAMETER_UNITS * model.n_links + drives
 
 
 def parameter_values(model: RobotModel, drive: DriveSet = NO_DRIVE) -> Array:

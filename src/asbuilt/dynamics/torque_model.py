@@ -30,7 +30,7 @@ class TorqueModel:
     values
         Drive parameters, shape (n_joints columns_per_joint,), joint by joint as in `drive.names`.
     parameters
-        Standard inertial parameters, shape (10 n_joints,); the model's own by default.
+        Standard inertial parameters, shape (10 n_links,); the model's own by default.
 
     Raises
     ------

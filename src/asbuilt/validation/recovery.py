@@ -89,7 +89,7 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
         truth=truth,
         estimate=estimate,
         std_error=np.array([parameter.std_error for parameter in result.parameters]),
-        of_links=base.columns < 10 * result.model.n_joints,
+        of_links=base.columns < 10 * result.model.n_links,
         torque_error=float(np.linalg.norm(W @ (estimate - truth))) / size,
         cad_error=float(np.linalg.norm(W @ (cad - truth))) / size,
     )

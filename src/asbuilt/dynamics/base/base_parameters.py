@@ -34,7 +34,8 @@ class BaseParameters:
 
     `columns` (n_base,) are the first independent columns in id order, counted from 0, `ids =
     columns + 1`; `regrouping` has shape (n_base, n_standard). `expressions` have numbers for
-    lengths, `symbolic` has symbols where the description names lengths.
+    lengths, `symbolic` has symbols where the description names lengths. `link_joints` has for each
+    link the joint, counted from 0, whose drive moves it relative to its parent.
     """
 
     robot: str
@@ -46,6 +47,7 @@ class BaseParameters:
     expressions: tuple[str, ...]
     symbolic: tuple[str, ...]
     standard: tuple[StandardParameter, ...]
+    link_joints: tuple[int, ...]
 
     def __post_init__(self) -> None:
         self.columns.setflags(write=False)
@@ -71,6 +73,16 @@ class BaseParameters:
     def n_standard(self) -> int:
         """Number of standard parameters."""
         return len(self.standard_names)
+
+    @property
+    def n_links(self) -> int:
+        """Number of moving links, each with ten of the standard parameters, which come first."""
+        return len(self.link_joints)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints, each with the same drive terms."""
+        return max(self.link_joints) + 1
 
     @property
     def n_base(self) -> int:
@@ -162,6 +174,7 @@ def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
             for row, column in zip(symbolic, found.columns, strict=True)
         ),
         standard=parameter_verdicts(model, drive, found, names),
+        link_joints=model.link_joints,
     )
 
 

@@ -73,7 +73,7 @@ def parameter_verdicts(
         alone = len(rows) == 1 and np.count_nonzero(found.matrix[rows[0]]) == 1
         status: Status = "unidentifiable" if not members else "identifiable" if alone else "grouped"
         shown = _shown_in(found, names, j, rows) if status == "grouped" else ""
-        if j < 10 * model.n_joints:
+        if j < 10 * model.n_links:
             link, symbol = j // 10, PARAMETER_NAMES[j % 10]
             if status == "unidentifiable":
                 reason = _never(model, views[link], symbol)
@@ -82,7 +82,7 @@ def parameter_verdicts(
             else:
                 reason = _in_sums(model, found, views, j, symbol) + shown
         else:
-            joint, position = divmod(j - 10 * model.n_joints, drive.columns_per_joint)
+            joint, position = divmod(j - 10 * model.n_links, drive.columns_per_joint)
             reason = _of_richer_drive(drive, joint, position, status) or _of_drive(
                 model, views, joint, symbol=drive.symbols[position], status=status
             )
@@ -250,7 +250,7 @@ def _in_sums(
                 f"{views[link].phrase}, so it has an effect only through its inertia about that"
                 " axis and the torque of gravity about it, which other parameters have too"
             )
-        if np.abs(own[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
+        if np.abs(own[mine, 10 * model.n_links :]).max(initial=0.0) > SMALL:
             return (
                 f"{views[link].phrase}, so its effect on joint {link + 1} is that of a drive"
                 " parameter"
@@ -331,7 +331,7 @@ def _moved_to_parent(
         )
     block = found.null_blocks[link]
     mine = np.abs(block[:, column]) > SMALL
-    if np.abs(block[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
+    if np.abs(block[mine, 10 * model.n_links :]).max(initial=0.0) > SMALL:
         return (
             f"{views[joint.parent].phrase}, never along {axis}, so a drive parameter of joint"
             f" {number} has the same effect"

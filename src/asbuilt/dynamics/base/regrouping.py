@@ -84,7 +84,7 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     scales = _scales(model, drive)
     blocks = _null_blocks(model, drive, directions, to_link, structure, scales)
     redundant = (
-        np.hstack([np.zeros((len(structure.redundant), 10 * model.n_joints)), structure.redundant])
+        np.hstack([np.zeros((len(structure.redundant), 10 * model.n_links)), structure.redundant])
         / scales
     )
     echelon, dependent = reversed_echelon(
@@ -167,7 +167,7 @@ def _without_noise(value: float) -> float:
 
 def _symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
     """Return the null vectors with symbols for lengths, in physical units."""
-    first, strength = 10 * model.n_joints, float(np.linalg.norm(model.gravity))
+    first, strength = 10 * model.n_links, float(np.linalg.norm(model.gravity))
     ways = found.structure.ways
     per = ways.shape[2]
     units = np.array(
@@ -235,7 +235,7 @@ def _null_blocks(
 
     Shapes (k, n_standard); mutual armatures are left out.
     """
-    size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_joints
+    size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_links
     blocks = []
     for found, shift in zip(directions, to_link, strict=True):
         joint = model.joints[found.link]
@@ -268,7 +268,7 @@ def _realised(
     """
     if not structure.motor_columns.any():
         return list(blocks)
-    per, first = drive.columns_per_joint, 10 * model.n_joints
+    per, first = drive.columns_per_joint, 10 * model.n_links
     sums, of_joints, of_motors = realisable(directions, structure)
     rows = sums @ np.vstack(blocks)
     armature = structure.ways[:, 0, :]

@@ -75,16 +75,18 @@ class InformationEfficiency:
     def owners(self) -> NDArray[np.intp]:
         """Joint, counted from 0, of the link or drive of each base parameter (p,)."""
         columns, per = self.base.columns, self.base.drive.columns_per_joint
+        links = 10 * self.base.n_links
+        moved_by = np.array(self.base.link_joints)
         return np.where(
-            columns < 10 * self._n_joints,
-            columns // 10,
-            (columns - 10 * self._n_joints) // max(per, 1),
+            columns < links,
+            moved_by[np.minimum(columns, links - 1) // 10],
+            (columns - links) // max(per, 1),
         )
 
     @property
     def worst(self) -> tuple[int | None, ...]:
         """Worst determined base parameter of each joint, None for a joint without any."""
-        own = [np.flatnonzero(self.owners == k) for k in range(self._n_joints)]
+        own = [np.flatnonzero(self.owners == k) for k in range(self.base.n_joints)]
         return tuple(
             int(each[np.argmin(self.by_parameter[each])]) if each.size else None for each in own
         )
@@ -96,10 +98,6 @@ class InformationEfficiency:
         It is small if the joint moved too little or correlated with others.
         """
         return np.array([np.nan if k is None else self.by_parameter[k] for k in self.worst])
-
-    @property
-    def _n_joints(self) -> int:
-        return self.base.n_standard // (10 + self.base.drive.columns_per_joint)
 
 
 def information_efficiency(

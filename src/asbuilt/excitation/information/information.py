@@ -166,11 +166,11 @@ class Information:
     @cached_property
     def _drive_places(self) -> tuple[tuple[Indices, Indices], ...]:
         """The drive columns of each joint in use, and their rows in the layout of `plan`."""
-        n, per, found = self.model.n_joints, self.base.drive.columns_per_joint, []
+        per, found = self.base.drive.columns_per_joint, []
         for k, (support, (first, _)) in enumerate(
             zip(self.plan.support, self.plan.bounds.tolist(), strict=True)
         ):
-            own = self.plan.columns[support] - (10 * n + k * per)
+            own = self.plan.columns[support] - (10 * self.model.n_links + k * per)
             found.append((own[own >= 0], first + np.flatnonzero(own >= 0)))
         return tuple(found)
 

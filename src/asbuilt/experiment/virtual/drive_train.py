@@ -118,7 +118,7 @@ class TermDrives:
                 expected=expected,
             )
         if not np.all(np.isfinite(self.values)):
-            k = 10 * model.n_joints + int(np.argmin(np.isfinite(self.values)))
+            k = 10 * model.n_links + int(np.argmin(np.isfinite(self.values)))
             name = parameter_names(model, self.drive)[k]
             raise UsageError(
                 f"drive parameter {name} of {model.name} has no value in the description",

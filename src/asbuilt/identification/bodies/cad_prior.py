@@ -160,10 +160,10 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     """
     chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)
     if not model.drives_by_design:
-        chi[10 * model.n_joints :] = 0.0
+        chi[10 * model.n_links :] = 0.0
     masses = np.array([link.inertia.mass if link.inertia_known else 0.0 for link in model.links])
-    reach = np.empty(model.n_joints)
-    strength = np.ones(model.n_joints)
+    reach = np.empty(model.n_links)
+    strength = np.ones(model.n_links)
     notes: list[str] = []
     for i, link in enumerate(model.links):
         points = _joint_points(model, i)
@@ -208,7 +208,7 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         parameters=chi,
         strength=strength,
         reach=reach,
-        non_negative=non_negative_columns(model.n_joints, drive),
+        non_negative=non_negative_columns(model.n_links, model.n_joints, drive),
         notes=tuple(notes),
         mass_ranges=tuple(
             (tuple(model.link_names.index(name) for name in known.links), known.lower, known.upper)
@@ -237,7 +237,7 @@ def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
     return float(np.exp(np.mean(np.log(known))))
 
 
-def non_negative_columns(n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
+def non_negative_columns(n_links: int, n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
     """Return the columns of standard parameters that are non-negative for passive drives."""
     bounded = [term.non_negative for term in drive.terms for _ in term.symbols] * n_joints
-    return 10 * n_joints + np.flatnonzero(bounded)
+    return 10 * n_links + np.flatnonzero(bounded)

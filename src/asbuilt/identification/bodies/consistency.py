@@ -43,7 +43,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
             f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}:"
             f" {values.tolist()}"
         )
-    n_links = sum(name.startswith("Ixx") for name in base.standard_names)
+    n_links = base.n_links
     counted = np.array(
         [j < 10 * n_links or name.startswith("Ia") for j, name in enumerate(base.standard_names)]
     )
@@ -98,8 +98,7 @@ def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
 def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
     """Return the names of single drive parameters that are negative, against passivity."""
     values = np.asarray(beta, dtype=np.float64)
-    n_links = sum(name.startswith("Ixx") for name in base.standard_names)
     alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(
-        base.columns, non_negative_columns(n_links, base.drive)
+        base.columns, non_negative_columns(base.n_links, base.n_joints, base.drive)
     )
     return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))

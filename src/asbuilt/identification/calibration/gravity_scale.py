@@ -25,7 +25,7 @@ def gravity_scales(result: IdentificationResult) -> Array:
     """
     n = result.model.n_joints
     scales = np.full(n, np.nan)
-    links = np.asarray(result.base.columns) < 10 * n
+    links = np.asarray(result.base.columns) < 10 * result.model.n_links
     design = np.array([parameter.cad for parameter in result.parameters], dtype=np.float64)
     known = all(link.inertia_known and link.inertia.mass > 0.0 for link in result.model.links)
     if not known or not np.all(np.isfinite(design[links])):

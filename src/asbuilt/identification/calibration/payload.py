@@ -499,7 +499,7 @@ def _metrics(
     """Return the torque error of an arm (and what it carries) on a recording."""
     added = None
     if payload is not None:
-        added = np.zeros(10 * result.model.n_joints)
+        added = np.zeros(10 * result.model.n_links)
         added[10 * payload.link : 10 * payload.link + 10] = (
             shift_matrix(payload.placement) @ payload.parameters
         )

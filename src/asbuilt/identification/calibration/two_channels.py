@@ -239,7 +239,9 @@ class _JointFit:
         """Return the information of both channels; scales multiply the torque of links `beta`."""
         model, sensors, n, p = self.model, self.sensors, self.model.n_joints, self.base.n_base
         links = RegressorPlan.of(model, self.link_side, both.columns[:p], spare_rows=1)
-        drives = RegressorPlan.of(model, self.motor_side, 10 * n + self.acting, spare_rows=1)
+        drives = RegressorPlan.of(
+            model, self.motor_side, 10 * model.n_links + self.acting, spare_rows=1
+        )
         first = p + len(self.acting)
         own_scale = [[first + scaled.index(k)] if k in scaled else [] for k in range(n)]
         support = (

@@ -97,13 +97,13 @@ class CandidateColumns:
         weights: Array,
     ) -> None:
         self.model, self.base, self.tried = model, base, tuple(tried)
-        n = model.n_joints
+        n, links = model.n_joints, 10 * model.n_links
         plans = [RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)]
         for each in tried:
             own = n * len(each.term.symbols)
             plans.append(
                 RegressorPlan.of(
-                    model, DriveSet((each.term,)), np.arange(10 * n, 10 * n + own), spare_rows=1
+                    model, DriveSet((each.term,)), np.arange(links, links + own), spare_rows=1
                 )
             )
         first = np.cumsum([0, *(len(each.term.symbols) for each in tried)])

@@ -286,9 +286,10 @@ class _Remaining:
 
     def with_term(self, term: DriveTerm, *, positive: bool) -> Array:
         """Return the squared error (n,) with this term; without it if not `positive` as asked."""
-        n, per = self._model.n_joints, len(term.symbols)
+        first = 10 * self._model.n_links
+        count = len(term.symbols) * self._model.n_joints
         plan = RegressorPlan.of(
-            self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1
+            self._model, DriveSet((term,)), first + np.arange(count), spare_rows=1
         )
         left = []
         for rows, basis, torque in zip(

@@ -130,7 +130,7 @@ def _promising(
     information = accumulate_stream(model, base, samples, block_seconds=block_seconds)
     known = dict(zip(plain.names, plain.parameters.mean(axis=0), strict=True))
     beta = np.array([known.get(name, 0.0) for name in base.names])
-    drives = base.columns >= 10 * model.n_joints
+    drives = base.columns >= 10 * model.n_links
     found = []
     for k, (support, factor) in enumerate(
         zip(information.support, information.joint_factors, strict=True)

@@ -236,7 +236,7 @@ def _following(result: IdentificationResult, drawn: Array, factors: Array) -> Ar
     """Return draws of base parameters that follow the torque scale of the joints."""
     if np.all(factors == factors[:, :1]):
         return drawn * factors[:, :1]
-    columns, links = np.asarray(result.base.columns), 10 * result.model.n_joints
+    columns, links = np.asarray(result.base.columns), 10 * result.model.n_links
     scaled, of_drive = drawn.copy(), columns >= links
     joints = (columns[of_drive] - links) // result.base.drive.columns_per_joint
     scaled[:, of_drive] *= factors[:, joints]

@@ -157,7 +157,7 @@ class _Changes:
     ) -> None:
         chi = np.zeros(base.n_standard)
         chi[base.columns] = beta
-        values = chi[10 * n_joints :].reshape(n_joints, -1)
+        values = chi[10 * base.n_links :].reshape(n_joints, -1)
         self._moved = []
         first = 0
         places = {}

@@ -166,7 +166,7 @@ def _inertia(
     found = dict(zip(base.standard_names, chi, strict=True))
     armature = np.array([found.get(f"Ia{k + 1}", 0.0) for k in range(model.n_joints)])
     for links, rotors in (
-        (chi[: 10 * model.n_joints], armature),
+        (chi[: 10 * model.n_links], armature),
         (model.parameters, np.maximum(armature, 0.0)),
     ):
         mass = mass_matrix(model, postures, parameters=links) + rotors * np.eye(model.n_joints)
@@ -176,7 +176,7 @@ def _inertia(
             and np.linalg.eigvalsh(mass / np.sqrt(np.outer(inertia, inertia))).min() > LEAST_INERTIA
         ):
             return links, rotors, inertia
-    return np.zeros(10 * model.n_joints), np.ones(model.n_joints), np.ones(model.n_joints)
+    return np.zeros(10 * model.n_links), np.ones(model.n_joints), np.ones(model.n_joints)
 
 
 def _segments(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

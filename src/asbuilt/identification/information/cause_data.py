@@ -142,7 +142,7 @@ def gather_cause_data(
             key not in drive.keys or key in PLAIN_TERMS
         ):  # at every joint, though the result has it at some
             drive = drive.with_term(known[key])
-    links = 10 * model.n_joints
+    links = 10 * model.n_links
     columns = np.concatenate(
         [
             base.columns[base.columns < links],

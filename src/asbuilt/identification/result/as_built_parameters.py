@@ -55,7 +55,7 @@ def mass_findings(result: IdentificationResult) -> tuple[Finding, ...]:
         return ()
     if not found.consistent:
         return ()
-    masses = found.parameters[9 : 10 * result.model.n_joints : 10]
+    masses = found.parameters[9 : 10 * result.model.n_links : 10]
     far = [
         f"{link.name} {mass:.3g} kg (CAD {link.inertia.mass:.3g} kg)"
         for link, mass in zip(result.model.links, masses, strict=True)

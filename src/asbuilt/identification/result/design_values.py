@@ -16,7 +16,7 @@ def design_values(model: RobotModel, base: BaseParameters) -> Array:
     A drive value that the description lacks, or states for a simulator's sake, adds nothing to
     sums with links and is NaN by itself.
     """
-    chi, links = parameter_values(model, base.drive), 10 * model.n_joints
+    chi, links = parameter_values(model, base.drive), 10 * model.n_links
     for i, link in enumerate(model.links):
         if not link.inertia_known:
             chi[10 * i : 10 * i + 10] = np.nan

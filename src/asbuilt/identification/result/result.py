@@ -319,7 +319,7 @@ class IdentificationResult:
     @cached_property
     def torque_model(self) -> TorqueModel:
         """The robot as built as a function of the state, drives included."""
-        chi, links = all_parameters(self.base, self.estimates), 10 * self.model.n_joints
+        chi, links = all_parameters(self.base, self.estimates), 10 * self.model.n_links
         return TorqueModel(self.model, self.base.drive, chi[links:], parameters=chi[:links])
 
     def torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:

@@ -163,7 +163,7 @@ def summarise(
         Findings of the study; None: those of the result.
     """
     said = ranked(result.findings if findings is None else findings)
-    n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_joints))
+    n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_links))
     drives = f" + {n_drive} drive" if n_drive else ""
     return Summary(
         title=(

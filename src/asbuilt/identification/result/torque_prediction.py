@@ -70,7 +70,7 @@ def all_parameters(base: BaseParameters, values: ArrayLike) -> Array:
 
 def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> RobotModel:
     """Return the robot with link parameters that give the rigid-body torque of base parameters."""
-    return model.with_parameters(all_parameters(base, values)[: 10 * model.n_joints])
+    return model.with_parameters(all_parameters(base, values)[: 10 * model.n_links])
 
 
 def model_torque(
@@ -117,7 +117,7 @@ def parameter_torque(
     `chi` are standard parameters as `all_parameters` returns them, `added` (10 n,) link parameters
     on top.
     """
-    links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
+    links, drives = chi[: 10 * model.n_links], chi[10 * model.n_links :]
     parameters = links if added is None else links + added
     rigid = inverse_dynamics(model, q, qd, qdd, parameters=parameters)
     if not drive:

@@ -78,7 +78,7 @@ def fit_delay(
         prior[link, link] = RULES.links * metric
     prior[p, p] = 0.0
     start = np.append(design.parameters, 0.0)
-    start[10 * n : p] = 0.0
+    start[10 * base.n_links : p] = 0.0
     lower = np.full(p + 1, -np.inf)
     lower[design.non_negative] = 0.0
     maps = [_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]

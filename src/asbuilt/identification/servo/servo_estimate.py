@@ -127,7 +127,7 @@ def estimate_servo(
         raise ValueError("the recordings have no servo")
     base, design = find_base_parameters(model, drive), cad_prior(model, drive)
     links = design.parameters.copy()
-    links[10 * model.n_joints :] = 0.0
+    links[10 * model.n_links :] = 0.0
     unknown = np.isnan(np.array(first.kp))
     kd = np.nan_to_num(np.array(first.kd))
     stated, late = first, 0.0 if delay is None else delay

@@ -169,7 +169,7 @@ def replayed(
     if not first.size:
         return None
     h = RULES.step
-    values = parameters[10 * n :].reshape(n, -1)
+    values = parameters[10 * model.n_links :].reshape(n, -1)
     robot = _centred(SimulatedRobot(model, base.drive, values, servo), h)
     driving = DriveSignal.of(recording, "command")
     engine = Trajectories(model, base)
@@ -191,7 +191,7 @@ def replayed(
             driving,
             longest_step=h,
         )
-        motion = engine.simulate(robot, windows, parameters[: 10 * n])
+        motion = engine.simulate(robot, windows, parameters[: 10 * model.n_links])
         if not np.all(np.isfinite(motion.q)):
             return None
         inside = (t >= start) & (t <= start + steps * h)

@@ -108,9 +108,10 @@ def _own_scale(
 ) -> tuple[float, float, Scale]:
     """Return c of a joint, its variance from time blocks, and what gives it."""
     own = rows.support[k]
-    K, n = base.regrouping[own], len(rows.support)
-    per = (base.n_standard - 10 * n) // n
-    drives = K[:, 10 * n + per * k : 10 * n + per * (k + 1)][:, _not_constant(base)]
+    K = base.regrouping[own]
+    per = base.drive.columns_per_joint
+    first = 10 * base.n_links + per * k
+    drives = K[:, first : first + per][:, _not_constant(base)]
     parts = {
         "gravity": np.where(np.arange(base.n_standard) % 10 >= 6, design, 0.0),
         "inertia": np.where(np.arange(base.n_standard) % 10 < 6, design, 0.0),

@@ -149,15 +149,15 @@ def refine_fit(
         provenance=(*fit.provenance, _note(found, windows)),
     )
     built = SimulatedRobot(
-        model.with_parameters(found.point.chi[: 10 * model.n_joints]),
+        model.with_parameters(found.point.chi[: 10 * model.n_links]),
         base.drive,
-        found.point.chi[10 * model.n_joints :].reshape(model.n_joints, -1),
+        found.point.chi[10 * model.n_links :].reshape(model.n_joints, -1),
         found.point.servo,
     )
     before = SimulatedRobot(
-        model.with_parameters(chi[: 10 * model.n_joints]),
+        model.with_parameters(chi[: 10 * model.n_links]),
         base.drive,
-        chi[10 * model.n_joints :].reshape(model.n_joints, -1),
+        chi[10 * model.n_links :].reshape(model.n_joints, -1),
         servo,
     )
     n = model.n_joints

@@ -85,7 +85,7 @@ class Trajectories:
     @cached_property
     def plan(self) -> RegressorPlan:
         """The regressor columns of links among the base parameters."""
-        links = 10 * self.model.n_joints
+        links = 10 * self.model.n_links
         return RegressorPlan.of(self.model, columns=self.base.columns[self.base.columns < links])
 
     @cached_property
@@ -93,7 +93,7 @@ class Trajectories:
         """The branches of the robot, which move independently of each other."""
         n, p = self.model.n_joints, self.base.n_base
         roots = np.array([self.model.ancestors(k)[0] for k in range(n)])
-        links = 10 * n
+        links = 10 * self.model.n_links
         per = max(self.base.drive.columns_per_joint, 1)
         owner = np.where(
             self.base.columns < links,
@@ -109,7 +109,7 @@ class Trajectories:
         return tuple(found)
 
     def simulate(self, robot: SimulatedRobot, windows: Windows, links: Array) -> Motion:
-        """Simulate windows; `links` (10 n,) are the inertial parameters, consistent or not."""
+        """Simulate windows; `links` (10 n_links,) are inertial parameters, consistent or not."""
         shape = (windows.n_windows, windows.n_steps, self.model.n_joints)
         q, v = (np.empty((shape[0], shape[1] + 1, shape[2])) for _ in range(2))
         q[:, 0], v[:, 0] = windows.start_q, windows.start_qd
@@ -182,7 +182,7 @@ class Trajectories:
         acting = error - np.clip(error, -dead, dead)
         stiffness = servo * kp * free * ((acting != 0.0) | (dead == 0.0))
         slope = servo * np.where(free, kd, falling)
-        links_in_base = np.flatnonzero(self.base.columns < 10 * n)
+        links_in_base = np.flatnonzero(self.base.columns < 10 * self.model.n_links)
         for branch in self.branches:
             columns = np.zeros((len(q), len(branch.joints), len(branch.parameters)))
             place = np.full(self.n_parameters, -1)
@@ -219,7 +219,7 @@ class Trajectories:
 
     def _drive_columns(self, k: int) -> list[tuple[int, int]]:
         """Return column of the drive terms and place among the base parameters, for joint k."""
-        per, first = self.base.drive.columns_per_joint, 10 * self.model.n_joints
+        per, first = self.base.drive.columns_per_joint, 10 * self.model.n_links
         return [
             (int(column - first - k * per), place)
             for place, column in enumerate(self.base.columns.tolist())

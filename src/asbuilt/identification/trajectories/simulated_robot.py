@@ -66,11 +66,11 @@ def robot_as_built(
     result: IdentificationResult, servo: PositionServo | None = None
 ) -> SimulatedRobot:
     """Return the robot with the standard parameters closest to CAD that a result supports."""
-    chi, n = as_built_parameters(result).parameters, result.model.n_joints
+    chi, links = as_built_parameters(result).parameters, 10 * result.model.n_links
     return SimulatedRobot(
-        result.model.with_parameters(chi[: 10 * n]),
+        result.model.with_parameters(chi[:links]),
         result.base.drive,
-        chi[10 * n :].reshape(n, -1),
+        chi[links:].reshape(result.model.n_joints, -1),
         servo,
     )
 

@@ -103,7 +103,8 @@ class CauseFits:
         x = np.zeros(p)
         x[cause_data.places(base.names)] = design
         self.design = np.concatenate([x, np.zeros(n + 10)])
-        links = [name for name, j in zip(base.names, base.columns, strict=True) if j < 10 * n]
+        inertial = 10 * base.n_links
+        links = [name for name, j in zip(base.names, base.columns, strict=True) if j < inertial]
         self.rigid = cause_data.places(links)
         K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
         self.names = (

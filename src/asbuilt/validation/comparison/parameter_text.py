@@ -24,9 +24,7 @@ def parameter_texts(base: BaseParameters) -> tuple[str, ...]:
     >>> parameter_texts(base)[-1]
     'Coulomb friction, joint 7'
     """
-    inertial = len(PARAMETER_NAMES) * (
-        base.n_standard // (len(PARAMETER_NAMES) + base.drive.columns_per_joint)
-    )
+    inertial = len(PARAMETER_NAMES) * base.n_links
     return tuple(
         (
             _of_link(base, row, int(column), inertial)

@@ -73,13 +73,13 @@ def _body_torques(
     result: IdentificationResult, samples: Samples, link: int, placement: Array
 ) -> Array:
     """Return an orthonormal basis (N n, r) of the weighted torques that a body there can make."""
-    shift, n = shift_matrix(placement), result.model.n_joints
-    columns = np.empty((samples.n_filtered, n, 10))
+    shift, model = shift_matrix(placement), result.model
+    columns = np.empty((samples.n_filtered, model.n_joints, 10))
     for i in range(10):
-        links = np.zeros(10 * n)
+        links = np.zeros(10 * model.n_links)
         links[10 * link : 10 * link + 10] = shift[:, i]
         columns[:, :, i] = samples.filtered(
-            inverse_dynamics(result.model, samples.q, samples.qd, samples.qdd, parameters=links)
+            inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
         )
     basis, lengths, _ = np.linalg.svd(
         (columns * result.weights[:, None]).reshape(-1, 10), full_matrices=False

@@ -62,7 +62,7 @@ def claimed_numbers(
     nothing holds.
     """
     found: list[ClaimedNumber] = []
-    count = 10 * model.n_joints + drive.columns_per_joint * model.n_joints
+    count = 10 * model.n_links + drive.columns_per_joint * model.n_joints
     for i, (link, joint) in enumerate(zip(model.links, model.joints, strict=True)):
         known = link.inertia_known and link.inertia.mass > 0.0
         numbers = _of_link(link.inertia, tolerance) if known else _of_unknown_link()
@@ -130,7 +130,7 @@ def _of_drives(model: RobotModel, drive: DriveSet, count: int) -> list[ClaimedNu
         for term in drive.terms
         for symbol in term.symbols
     ]
-    found, j = [], 10 * model.n_joints
+    found, j = [], 10 * model.n_links
     for joint in model.joints:
         for what in words:
             claimed = float(values[j])

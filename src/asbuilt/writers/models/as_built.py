@@ -81,10 +81,10 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
 
     Friction that is below zero by rounding becomes zero.
     """
-    rigid = 10 * model.n_joints
+    rigid = 10 * model.n_links
     robot = model.with_parameters(parameters[:rigid])
     drives = np.array(parameters[rigid:])
-    bounded = non_negative_columns(model.n_joints, drive) - rigid
+    bounded = non_negative_columns(model.n_links, model.n_joints, drive) - rigid
     drives[bounded] = np.where(
         drives[bounded] > -ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded]
     )

@@ -174,7 +174,7 @@ def export_result(
     )
     if c is not None:
         files["c"], files["header"] = write_c(
-            c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :]
+            c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_links :]
         )
         notes["c"] = load
     if urdf is not None:

@@ -64,7 +64,7 @@ def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
     found.append(
         Source("mounting", None, _units(columns.size, [columns.size - 2, columns.size - 1]))
     )
-    links = [i for i, column in enumerate(base.columns) if column < 10 * n]
+    links = [i for i, column in enumerate(base.columns) if column < 10 * base.n_links]
     found.append(Source("links", None, _units(columns.size, links)))
     return tuple(found)
 

@@ -210,7 +210,7 @@ def _fewest_parameters(model: RobotModel) -> Array:
     Those of the model if the torques differ by more than rounding, as for lengths of almost zero.
     """
     rigid = find_base_parameters(model)
-    chi = np.zeros(10 * model.n_joints)
+    chi = np.zeros(10 * model.n_links)
     chi[rigid.columns] = rigid.values(model.parameters)
     states = sample_states(model, 100)
     torques = inverse_dynamics(model, *states)
@@ -221,7 +221,7 @@ def _fewest_parameters(model: RobotModel) -> Array:
 def _regressor(
     mechanism: Mechanism, base: BaseParameters, terms: DriveSet, parameters: Array
 ) -> dict[tuple[int, int], Term]:
-    inertial = 10 * mechanism.model.n_joints
+    inertial = 10 * mechanism.model.n_links
     columns = [int(column) for column in base.columns if column < inertial]
     entries = mechanism.regressor(columns)
     drives = drive_entries(mechanism, terms, parameters)
