@@ -34,7 +34,7 @@ def test_errors_of_known_differences() -> None:
     simulated = measured.copy()
     simulated[:, 1:, 0] = 0.02
     simulated[1, 2, 1] = 0.01
-    found = rollout_errors(model, [measured], [simulated])
+    found = rollout_errors(model, [np.arange(3) / 100.0], [measured], [simulated])
     assert found.rms == pytest.approx([0.02, 0.005])
     assert found.final == pytest.approx([0.02, np.sqrt(0.5) * 0.01])
     assert found.rms_all == pytest.approx(np.sqrt((4 * 0.02**2 + 0.01**2) / 8))
@@ -44,9 +44,31 @@ def test_errors_of_known_differences() -> None:
 def test_a_divergence_has_no_number_and_is_counted(windows: Windows) -> None:
     lost = windows.q.copy()
     lost[3, 5:] = np.nan
-    found = rollout_errors(servo_arm(), [windows.q], [lost])
+    found = rollout_errors(servo_arm(), [windows.times], [windows.q], [lost])
     assert found.as_dict()["rms_all"] is None
     assert found.diverged == 1
+
+
+def test_robots_of_which_one_diverges_are_compared_before_it(windows: Windows) -> None:
+    truth = servo_arm()
+    wild = robot_as_described(truth, replace(SERVO, kp=tuple(-4.0 * x for x in SERVO.kp)))
+    found = roll_out(truth, [windows], [wild], [robot_as_described(truth, SERVO)])
+    assert found.cad is not None
+    assert found.as_built is not None
+    assert found.cad.diverged > 0
+    assert found.as_built.diverged == 0
+    until = found.cad.until
+    assert until == found.as_built.until < windows.times[-1]
+    path, early = found.motions[0].cad, windows.times < until
+    assert path is not None
+    assert np.nanmax(np.abs(path - windows.q)) < 2.0 * np.pi
+    assert np.all(np.isfinite(path[:, early]))
+    error = (path - windows.q)[:, early][:, 1:]
+    assert found.cad.rms_all_until == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert found.as_built.rms_all_until < 1e-4 < found.cad.rms_all_until
+    (finding,) = (each for each in rollout_findings([found]) if each.code == "rollout_diverged")
+    assert f"the first after {until:.2g} s" in finding.message
+    assert found.as_dict()["cad"]["rms_all"] is None
 
 
 def test_the_truth_is_closer_than_a_wrong_description(windows: Windows) -> None:

@@ -14,6 +14,9 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
 from asbuilt.identification.calibration.payload import payload_frame
 
+TURN = 2.0 * np.pi
+"""Distance [rad] from the measured position at which a revolute joint counts as diverged."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RolloutErrors:
@@ -32,13 +35,21 @@ class RolloutErrors:
         windows; None if the robot has several ends or none.
     diverged
         Number of windows in which the simulation diverged.
+    until
+        Time since the start of a window [s] before which no simulation diverged, of this robot or
+        one that it is compared with; the whole window if none did.
+    rms_until, rms_all_until
+        As `rms` and `rms_all`, over the samples before that time; NaN if there are none.
     """
 
     rms: Array
     rms_all: float
     final: Array
-    tool: float | None = None
-    diverged: int = 0
+    tool: float | None
+    diverged: int
+    until: float
+    rms_until: Array
+    rms_all_until: float
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers, None for what is not finite."""
@@ -48,6 +59,9 @@ class RolloutErrors:
             "final": [_plain(x) for x in self.final],
             "tool": None if self.tool is None else _plain(self.tool),
             "diverged": self.diverged,
+            "until": self.until,
+            "rms_until": [_plain(x) for x in self.rms_until],
+            "rms_all_until": _plain(self.rms_all_until),
         }
 
 
@@ -99,8 +113,33 @@ def mean_errors(recordings: Sequence[RecordingErrors]) -> dict[str, float | None
     return found
 
 
+def without_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
+    """Return simulated positions (W, L, n), NaN from where a window diverges.
+
+    It does where a position is not finite, or a revolute joint a whole turn from the measured one.
+    """
+    revolute = np.array([joint.is_revolute for joint in model.joints])
+    with np.errstate(invalid="ignore"):
+        near = np.isfinite(simulated) & ~(revolute & (np.abs(simulated - measured) >= TURN))
+    lost = np.maximum.accumulate(~np.all(near, axis=2), axis=1)
+    return np.where(lost[..., None], np.nan, simulated)
+
+
+def diverges_after(times: Array, simulated: Array) -> float:
+    """Return when the first of some windows (W, L, n) diverges [s]; infinite if none does.
+
+    `times` (L,) are those of the samples since the start of a window.
+    """
+    lost = ~np.all(np.isfinite(simulated), axis=(0, 2))
+    return float(np.min(times[lost], initial=np.inf))
+
+
 def rollout_errors(
-    model: RobotModel, measured: Sequence[Array], simulated: Sequence[Array]
+    model: RobotModel,
+    times: Sequence[Array],
+    measured: Sequence[Array],
+    simulated: Sequence[Array],
+    until: float | None = None,
 ) -> RolloutErrors:
     """Compare simulated with measured positions of windows.
 
@@ -108,20 +147,35 @@ def rollout_errors(
     ----------
     model
         The robot.
+    times
+        Times of the samples of the windows of each recording since their start [s], shapes (L,).
     measured, simulated
         Positions of the windows of each recording, shapes (W, L, n).
+    until
+        When the first simulation diverges [s], of this robot or one that it is compared with;
+        None: of this robot.
     """
-    error = np.concatenate(
-        [(b - a)[:, 1:].reshape(-1, a.shape[2]) for a, b in zip(measured, simulated, strict=True)]
-    )
+    if until is None:
+        until = min(map(diverges_after, times, simulated))
+    error = [(b - a)[:, 1:] for a, b in zip(measured, simulated, strict=True)]
+    early = [x[:, t[1:] < until] for x, t in zip(error, times, strict=True)]
     ends = [np.concatenate([x[:, -1] for x in each]) for each in (measured, simulated)]
     return RolloutErrors(
-        np.sqrt(np.mean(error**2, axis=0)),
-        float(np.sqrt(np.mean(error**2))),
+        *_rms(error),
         np.sqrt(np.mean((ends[1] - ends[0]) ** 2, axis=0)),
         _tool_distance(model, *ends),
         int(sum(np.sum(_lost(each)) for each in simulated)),
+        min(until, max(float(t[-1]) for t in times)),
+        *_rms(early),
     )
+
+
+def _rms(errors: Sequence[Array]) -> tuple[Array, float]:
+    """Return the root mean square of errors (W, L, n) by joint and of all; NaN of none."""
+    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in errors])
+    if not len(every):
+        return np.full(every.shape[1], np.nan), float("nan")
+    return np.sqrt(np.mean(every**2, axis=0)), float(np.sqrt(np.mean(every**2)))
 
 
 def _lost(q: Array) -> Mask:

@@ -21,8 +21,10 @@ from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.validation.rollout.errors import (
     RecordingErrors,
     RolloutErrors,
+    diverges_after,
     mean_errors,
     rollout_errors,
+    without_lost,
 )
 from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
 from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, outlying_windows
@@ -140,7 +142,10 @@ def roll_out(
             if isinstance(path, str):
                 why.setdefault(name, path)
             kept.append(None if name in why or isinstance(path, str) else path)
-        return kept
+        return [
+            None if path is None else without_lost(model, cut.q, path)
+            for path, cut in zip(kept, windows, strict=True)
+        ]
 
     by_cad = simulated("cad", paths[: len(windows)])
     built = simulated("as_built", paths[len(windows) :])
@@ -151,9 +156,18 @@ def roll_out(
         paths = [getattr(each, name) for each in of]
         if any(path is None for path in paths):
             return None
-        return rollout_errors(model, [each.windows.q for each in of], paths)
+        until = min(
+            diverges_after(each.windows.times, path)
+            for each in of
+            for path in (each.cad, each.as_built)
+            if path is not None
+        )
+        times = [each.windows.times for each in of]
+        return rollout_errors(model, times, [each.windows.q for each in of], paths, until)
 
     command = [delayed_command(cut) for cut in windows]
+    late = [path for path in command if path is not None]
+    times = [cut.times for cut in windows]
     found, usual = _outlying(model, motions)
 
     def without(k: int) -> RolloutErrors | None:
@@ -161,7 +175,7 @@ def roll_out(
         path, at = motions[k].as_built, usual[k] if usual else None
         if path is None or at is None or not len(at):
             return None
-        return rollout_errors(model, [windows[k].q[at]], [path[at]])
+        return rollout_errors(model, [times[k]], [windows[k].q[at]], [path[at]])
 
     return Rollout(
         windows[0].horizon,
@@ -169,25 +183,35 @@ def roll_out(
         motions,
         errors("cad", motions),
         errors("as_built", motions),
-        None if (pairs := repeated_windows(windows)) is None else rollout_errors(model, *pairs),
-        rollout_errors(model, measured, [each for each in command if each is not None])
-        if all(each is not None for each in command)
-        else None,
+        _floor(model, windows),
+        rollout_errors(model, times, measured, late) if len(late) == len(windows) else None,
         tuple(
             RecordingErrors(
                 each.windows.source,
                 each.windows.n_windows,
                 errors("cad", [each]),
                 errors("as_built", [each]),
-                None if late is None else rollout_errors(model, [each.windows.q], [late]),
+                None
+                if path is None
+                else rollout_errors(model, [times[k]], [each.windows.q], [path]),
                 without(k),
             )
-            for k, (each, late) in enumerate(zip(motions, command, strict=True))
+            for k, (each, path) in enumerate(zip(motions, command, strict=True))
         ),
         tuple(why.items()),
         found,
         _of_regular(model, motions, usual) if found else None,
     )
+
+
+def _floor(model: RobotModel, windows: Sequence[Windows]) -> RolloutErrors | None:
+    """Return the differences between repetitions of the same command; None without any."""
+    pairs = repeated_windows(windows)
+    if pairs is None:
+        return None
+    length = pairs[0][0].shape[1]
+    times = next(cut.times for cut in windows if cut.n_samples == length)
+    return rollout_errors(model, [times], *pairs)
 
 
 def _simulated(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | None:
@@ -219,7 +243,8 @@ def _of_regular(
         for each, at in zip(motions, usual, strict=True)
         if each.as_built is not None
     ]
-    return rollout_errors(model, measured, simulated)
+    times = [each.windows.times for each in motions]
+    return rollout_errors(model, times, measured, simulated)
 
 
 def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
@@ -243,7 +268,7 @@ def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
                         "rollout_diverged",
                         "warning",
                         f"The simulation {_title(name)} diverges in {errors.diverged} of"
-                        f" {rollout.n_windows} windows of {length}",
+                        f" {rollout.n_windows} windows of {length}, {_until(rollout)}",
                         Cure("roll out shorter windows, and check gains and signs"),
                     )
                 )
@@ -251,6 +276,20 @@ def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
         found += _contact(rollout, length)
     unique = {(each.code, each.message): each for each in found}
     return tuple(unique.values())
+
+
+def _until(rollout: Rollout) -> str:
+    """Return when the first simulation diverges, and the errors up to there."""
+    both = ((_title("cad"), rollout.cad), (_title("as_built"), rollout.as_built))
+    there = [(name, errors) for name, errors in both if errors is not None]
+    until = there[0][1].until
+    said = [
+        f"{1e3 * errors.rms_all_until:.3g} {name}"
+        for name, errors in there
+        if np.isfinite(errors.rms_all_until)
+    ]
+    began = f"the first after {until:.2g} s"
+    return f"{began}. The error before is {joined(said)} [mrad or mm]" if said else began
 
 
 def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
@@ -261,15 +300,14 @@ def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
     built, plain = rollout.as_built, rollout.no_physics
     if built is None or plain is None:
         return []
-    if not built.rms_all > plain.rms_all:
+    if not built.rms_all > plain.rms_all and not built.diverged:
         return _worse_in_recordings(rollout, length)
     return [
         Finding(
             "rollout_worse_than_command",
             "warning",
             f"Over {length} the delayed command alone is closer to the measured motion than the"
-            f" simulation as built ({1e3 * plain.rms_all:.3g} against"
-            f" {1e3 * built.rms_all:.3g} mrad)",
+            f" simulation as built ({1e3 * plain.rms_all:.3g} against {_size(built)})",
             Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
         )
     ]
@@ -279,7 +317,7 @@ def _worse_in_recordings(rollout: Rollout, length: str) -> list[Finding]:
     """Return a finding that names recordings in which the delayed command alone is closer."""
     worse = [
         f"{Path(each.source).name} ({1e3 * each.no_physics.rms_all:.3g} against"
-        f" {1e3 * each.as_built.rms_all:.3g} mrad)"
+        f" {_size(each.as_built)})"
         for each in rollout.by_recording
         if each.as_built is not None
         and each.no_physics is not None
@@ -311,10 +349,14 @@ def _contact(rollout: Rollout, length: str) -> list[Finding]:
             f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
             f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
             f" {joined(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
-            f" instead of {1e3 * rollout.as_built.rms_all:.3g} mrad",
+            f" mrad instead of {_size(rollout.as_built)}",
             Cure("look at these times; exclude contact from the recording"),
         )
     ]
+
+
+def _size(errors: RolloutErrors) -> str:
+    return "one that diverges" if errors.diverged else f"{1e3 * errors.rms_all:.3g} mrad"
 
 
 def _title(name: str) -> str:

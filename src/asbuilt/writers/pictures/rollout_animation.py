@@ -21,7 +21,7 @@ from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
-from asbuilt.writers.tables.rollout_tables import position_unit
+from asbuilt.writers.tables.rollout_tables import error_text, position_unit
 
 FRAME_RATE = 12.5
 """Frames per second [Hz]."""
@@ -194,7 +194,7 @@ def _titled(
     for k, name in enumerate(shown.errors):
         left = MARGIN + k * (size[0] + MARGIN)
         total = {"CAD": rollout.cad, "as built": rollout.as_built}[name]
-        known = "" if total is None else f": {1e3 * total.rms_all:.3g} {unit}"
+        known = "" if total is None else f": {error_text(total, unit)}"
         draw.text((left, 6), f"{TITLES[name]}{known}", fill=COLOURS[name], font=_font(15))
         draw.text(
             (left, 26), f"measured: grey, simulated: lines{enlarged}", fill=QUIET, font=_font(11)

@@ -155,6 +155,11 @@ def position_unit(model: RobotModel) -> str:
     return "mrad or mm" if len(kinds) > 1 else "mrad" if kinds == {True} else "mm"
 
 
+def error_text(errors: RolloutErrors, unit: str) -> str:
+    """Return the error of all joints in a unit of `position_unit`, or that it diverges."""
+    return "diverges" if errors.diverged else f"{1e3 * errors.rms_all:.3g} {unit}"
+
+
 def _shown(errors: RolloutErrors | None) -> Cell:
     return None if errors is None else _milli(errors.rms_all)
 
@@ -172,6 +177,5 @@ def _milli(value: float | None) -> Cell:
 
 
 def _worst(model: RobotModel, errors: RolloutErrors) -> str:
-    if not np.all(np.isfinite(errors.rms)):
-        return "-"
-    return model.joint_names[int(np.argmax(errors.rms))]
+    rms = errors.rms_until
+    return model.joint_names[int(np.argmax(rms))] if np.all(np.isfinite(rms)) else "-"

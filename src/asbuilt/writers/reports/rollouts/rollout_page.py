@@ -10,14 +10,13 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Finding
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
 from asbuilt.writers.reports.page import page, section_markup, table_markup
 from asbuilt.writers.reports.report_verdict import Card, Mood
 from asbuilt.writers.reports.sections.rollout import TEMPLATE, rollout_fields
-from asbuilt.writers.tables.rollout_tables import joint_table, position_unit
+from asbuilt.writers.tables.rollout_tables import error_text, joint_table, position_unit
 
 
 def write_rollouts(
@@ -75,31 +74,25 @@ def rollout_html(
 
 def _cards(model: RobotModel, rollout: Rollout) -> list[Card]:
     unit, horizon = position_unit(model), f"over {rollout.horizon:g} s"
-    better = (
-        rollout.cad is not None
-        and rollout.as_built is not None
-        and rollout.as_built.rms_all < rollout.cad.rms_all
-    )
+    cad, built = rollout.cad, rollout.as_built
+    better = cad is not None and built is not None and built.rms_all_until < cad.rms_all_until
     cards = []
     for name, errors in (("by CAD", rollout.cad), ("as built", rollout.as_built)):
         if errors is not None:
             mood: Mood = "neutral" if name == "by CAD" else "good" if better else "bad"
             said = f"error of the simulation {name} {horizon}"
-            cards.append(Card(mood, _size(errors, unit), said))
+            cards.append(Card(mood, error_text(errors, unit), said))
     if rollout.no_physics is not None:
         said = f"error of the delayed command without physics {horizon}"
-        cards.append(Card("neutral", _size(rollout.no_physics, unit), said))
+        cards.append(Card("neutral", error_text(rollout.no_physics, unit), said))
     if rollout.floor is not None:
         said = "between repetitions of a command"
-        cards.append(Card("neutral", _size(rollout.floor, unit), said))
-    if better and rollout.cad is not None and rollout.as_built is not None:
-        less = 1.0 - rollout.as_built.rms_all / rollout.cad.rms_all
-        cards.append(Card("good", share(less), "less error than CAD"))
+        cards.append(Card("neutral", error_text(rollout.floor, unit), said))
+    if better and cad is not None and built is not None:
+        less = 1.0 - built.rms_all_until / cad.rms_all_until
+        until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""
+        cards.append(Card("good", share(less), f"less error than CAD{until}"))
     return cards
-
-
-def _size(errors: RolloutErrors, unit: str) -> str:
-    return f"{1e3 * errors.rms_all:.3g} {unit}" if errors.diverged == 0 else "diverged"
 
 
 def _sentence(finding: Finding) -> str:
