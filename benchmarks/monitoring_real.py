@@ -23,18 +23,19 @@ from scipy.stats import chi2
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.momentum import lagged
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.monitoring.contact import frame_jacobian
 from asbuilt.monitoring.model_error import ModelError
 from asbuilt.monitoring.observed import Observed
-from asbuilt.monitoring.observer import Observer
+from asbuilt.monitoring.observer import BANDWIDTH, Observer
 from asbuilt.monitoring.sensitivity import WITHIN
-from asbuilt.monitoring.thresholds import Thresholds, set_thresholds
+from asbuilt.monitoring.thresholds import HALF, Thresholds, set_thresholds, velocities_before
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
-from asbuilt.workflow.watching.observation import uses_logged_velocities
+from asbuilt.workflow.watching.observation import doubtful_speed, uses_logged_velocities
 from drive_terms import UR10E_SHEET
 
 SIZES = (10.0, 20.0, 40.0, 80.0, 160.0)
@@ -84,12 +85,13 @@ class Detector:
     @classmethod
     def of(cls, robot: Any, quiet: Sequence[Recording], *, velocities: bool) -> Detector:
         """Return the momentum observer of a robot."""
-        observer = Observer(robot)
+        error = doubtful_speed(quiet, BANDWIDTH, measured=velocities)
+        observer = Observer(robot, velocity_error=error)
 
         def observe(log: Recording) -> Observed:
             return observer.observe(log.t, log.q, log.tau, log.qd if velocities else None)
 
-        return cls._set(observe, observer.model_error, quiet, observer.bandwidth)
+        return cls._set(observe, observer, quiet)
 
     @classmethod
     def of_maker(cls, robot: RobotModel, quiet: Sequence[Recording]) -> Detector:
@@ -98,21 +100,26 @@ class Detector:
 
         def observe(log: Recording) -> Observed:
             seen = observer.observe(log.t, log.q, log.tau)
-            return replace(seen, residual=log.extra["tau_ext"])
+            unknown = np.zeros(log.q.shape)
+            return replace(seen, residual=log.extra["tau_ext"], unknown_friction=unknown)
 
-        return cls._set(observe, observer.model_error, quiet, observer.bandwidth)
+        return cls._set(observe, observer, quiet)
 
     @classmethod
     def _set(
         cls,
         observe: Callable[[Recording], Observed],
-        error: ModelError,
+        observer: Observer,
         quiet: Sequence[Recording],
-        bandwidth: float,
     ) -> Detector:
-        names = quiet[0].joint_names
-        seen = [observe(log) for log in quiet]
-        return cls(observe, error, set_thresholds(seen, error, names, bandwidth=bandwidth))
+        thresholds = set_thresholds(
+            [observe(log) for log in quiet],
+            observer.model_error,
+            quiet[0].joint_names,
+            bandwidth=observer.bandwidth,
+            velocity_error=observer.velocity_error,
+        )
+        return cls(observe, observer.model_error, thresholds)
 
     def beyond(self, log: Recording) -> tuple[Array, Array]:
         """Return times (N,) and whether any joint is beyond its threshold (N,)."""
@@ -130,6 +137,30 @@ class Detector:
         return float(
             np.sqrt(np.mean(np.concatenate([self.observe(log).residual for log in logs]) ** 2))
         )
+
+    def parts(self, logs: Sequence[Recording]) -> list[str]:
+        """Return what makes the thresholds, RMS over the logs, a line per joint."""
+        limits, seen = self.thresholds, [self.observe(log) for log in logs]
+        slow = [
+            lagged(each.share, limits.slow(velocities_before(each), each.qd)) ** 0.5
+            for each in seen
+        ]
+        known = {
+            "floor": [limits.floor + np.zeros(each.qd.shape) for each in seen],
+            "slow": [limits.slow_part * each for each in slow],
+            "fast": [limits.fast * each.qd for each in seen],
+            "model": [self.error.std(each.q, each.qd, each.qdd) for each in seen],
+            "step": [HALF * each.step for each in seen],
+            "unknown": [each.unknown_friction for each in seen],
+            "residual": [each.residual for each in seen],
+        }
+        rms = {key: np.sqrt(np.mean(np.vstack(x) ** 2, axis=0)) for key, x in known.items()}
+        return [
+            f"  {name:20s} level {limits.level[j]:5.2f}  tail {limits.tails[j].shape:5.2f}"
+            f" of {limits.tails[j].peaks:3d} peaks   "
+            + "  ".join(f"{key} {size[j]:.3g}" for key, size in rms.items())
+            for j, name in enumerate(limits.joint_names)
+        ]
 
     def delay(self, log: Recording, start: float) -> float:
         """Return the time from a contact to its alarm [s], infinite for none while it lasts."""
@@ -208,6 +239,8 @@ def main(shared: Path) -> None:
             "           false alarms  95 % per hour  RMS [N m]  half found in 20 ms   found within"
             " 0.3 s (median delay [ms]) at " + " ".join(f"{size:g}" for size in SIZES) + " N"
         )
+        print("what makes the thresholds, RMS [N m or N], all but the last three times the level:")
+        print("\n".join(detectors["as built"].parts(watched)))
         for label, detector in detectors.items():
             delays = {size: _delays(detector, model, watched, size) for size in SIZES}
             count = sum(detector.alarms(log) for log in watched)

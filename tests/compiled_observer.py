@@ -53,7 +53,7 @@ class CompiledObserver:
         prefix = header.read_text().split("_JOINTS")[0].split("#define ")[-1].lower()
         self.code, self.names = Compiled(source, prefix), result.model.joint_names
         self.n, self.last = len(self.names), -np.inf
-        self.state = np.zeros(8 * self.n + 1)
+        self.state = np.zeros(11 * self.n + 1)
         self.code.call("observer_restart", self.state)
 
     def update(self, t: float, q: np.ndarray, tau: np.ndarray, qd: np.ndarray) -> np.ndarray:

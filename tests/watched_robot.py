@@ -18,6 +18,7 @@ from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds, set_thresholds
+from asbuilt.monitoring.velocity_error import largest_velocity_error
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 
@@ -76,10 +77,15 @@ def watched_robot() -> WatchedRobot:
     options = StudyOptions(drive="armature,viscous,coulomb,offset", method="wls")
     result = identify(robot.described, trained, options=replace(options, holdout=None)).result
     quiet = tuple(recorded(robot, seed, LONGEST) for seed in (2, 3, 4, 5))
-    observer = Observer(result)
+    error = largest_velocity_error([(log.t, log.q, log.qd) for log in quiet])
+    observer = Observer(result, velocity_error=error)
     seen = [observer.observe(log.t, log.q, log.tau, log.qd) for log in quiet]
     thresholds = set_thresholds(
-        seen, observer.model_error, result.model.joint_names, bandwidth=observer.bandwidth
+        seen,
+        observer.model_error,
+        result.model.joint_names,
+        bandwidth=observer.bandwidth,
+        velocity_error=error,
     )
     return WatchedRobot(robot, result, trained, quiet, thresholds)
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from asbuilt.description.catalogue import bundled_robot
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque
+from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.physics import Physics
@@ -70,6 +72,25 @@ def test_threshold_of_a_sample_is_that_of_the_log(watched: WatchedRobot) -> None
     seen = observer.observe(log.t, log.q, log.tau, log.qd)
     expected = watched.thresholds.of_log(seen, observer.model_error)[1]
     assert np.allclose(limits, expected, rtol=1e-10)
+
+
+def test_friction_of_unknown_direction_stays_within_what_the_threshold_holds() -> None:
+    """Joints creep to and fro; their velocities are known to 1e-6 rad/s, at most half of theirs."""
+    coulomb, error, rng = np.array([3.0, 5.0]), 1e-6, np.random.default_rng(0)
+    robot = TorqueModel(bundled_robot("two-link"), DriveSet.parse("coulomb"), coulomb)
+    t = np.arange(0.0, 4.0, 0.01)
+    qd = 2.0 * error * np.sin(np.outer(t, [3.0, 7.1]) + 0.1)
+    tau = robot(np.zeros(qd.shape), qd, np.zeros(qd.shape))
+    logged = qd + rng.uniform(-error, error, qd.shape)
+    blind, seen = (
+        Observer(robot, velocity_error=given).observe(t, np.zeros(qd.shape), tau, logged)
+        for given in (0.0, error)
+    )
+    assert np.any(np.abs(blind.residual) > 0.5 * coulomb)
+    assert np.all(np.abs(seen.residual) <= seen.unknown_friction + 1e-3 * coulomb)
+    assert np.all(seen.unknown_friction <= 2.0 * coulomb)
+    fast = Observer(robot, velocity_error=error).observe(t, 0.0 * qd, tau, np.ones(qd.shape))
+    assert np.all(fast.unknown_friction == 0.0)
 
 
 def test_filtered_positions_serve_without_velocities(watched: WatchedRobot) -> None:

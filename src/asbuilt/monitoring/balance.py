@@ -16,19 +16,23 @@ from asbuilt.identification.result.result import IdentificationResult
 
 
 class MomentumBalance:
-    """Evaluate `p` and `b` of `dp/dt = tau + b + tau_ext`.
+    """Evaluate `p`, `b` and the friction f of `dp/dt = tau + b - f + tau_ext`.
 
     `p = (M(q) + A) qd` with the constant armature A of the drives, rotors that several joints turn
-    included, and `b = C(q, qd)^T qd - g(q) - f(q, qd)`. Friction f takes its load at `qdd = 0`.
+    included, and `b = C(q, qd)^T qd - g(q)`. Friction `f(q, qd)` takes its load at `qdd = 0`; it is
+    given at both ends of the velocities `qd -+ velocity_error` that the logged one stands for.
 
     Parameters
     ----------
     torque
         The robot with its drives.
+    velocity_error
+        Largest error (n,) of a logged velocity [rad/s or m/s].
     """
 
-    def __init__(self, torque: TorqueModel) -> None:
+    def __init__(self, torque: TorqueModel, velocity_error: Array) -> None:
         self.torque = torque
+        self._ends = velocity_error * np.array([[-1.0], [1.0]])
         model, n = torque.model, torque.model.n_joints
         self.armature = armature_matrix(torque)
         self._chi = np.ascontiguousarray(torque.parameters.reshape(n, 10))
@@ -37,19 +41,37 @@ class MomentumBalance:
         self._rest = np.zeros(n)
         self._out = np.empty((2, 1, n))
 
-    def of_sample(self, q: Array, qd: Array) -> tuple[Array, Array]:
-        """Return `p` and `b` of one sample, two (n,), from contiguous arrays of float64."""
+    def of_sample(self, q: Array, qd: Array) -> tuple[Array, Array, Array]:
+        """Return `p`, `b`, two (n,), and f (2, n) of one sample, from contiguous float64."""
         p, gradient = self._out
         kernels.momentum(*self._mechanism, self._chi, q[None], qd[None], p, gradient)
-        friction = self.torque(q, qd, self._rest) - self._rigid(q, qd, self._rest)
-        return p[0] + self.armature @ qd, gradient[0] - self._rigid.gravity(q) - friction
+        ends = qd + self._ends if self._ends.any() else qd[None]
+        friction = np.empty((2, q.size))
+        for k, v in enumerate(ends):
+            friction[k:] = self.torque(q, v, self._rest) - self._rigid(q, v, self._rest)
+        return p[0] + self.armature @ qd, gradient[0] - self._rigid.gravity(q), friction
 
-    def of_samples(self, q: Array, qd: Array) -> tuple[Array, Array]:
-        """Return `p` and `b` of samples (N, n), two (N, n)."""
+    def of_samples(self, q: Array, qd: Array) -> tuple[Array, Array, Array]:
+        """Return `p`, `b`, two (N, n), and f (2, N, n) of samples (N, n)."""
         p, gradient = np.empty(q.shape), np.empty(q.shape)
         kernels.momentum(*self._mechanism, self._chi, q, qd, p, gradient)
-        friction = self.torque.friction(q, qd, np.zeros(q.shape))
-        return p + qd @ self.armature, gradient - self._rigid.gravity(q) - friction
+        ends = [qd + end for end in self._ends] if self._ends.any() else [qd]
+        friction = np.empty((2, *q.shape))
+        for k, v in enumerate(ends):
+            friction[k:] = self.torque.friction(q, v, np.zeros(q.shape))
+        return p + qd @ self.armature, gradient - self._rigid.gravity(q), friction
+
+
+def friction_between(before: Array, friction: Array) -> tuple[Array, Array]:
+    """Return friction between two samples, and its largest error, of the shape of a sample.
+
+    Both samples have it at the ends of the velocities that they stand for, (2, ...). Where the
+    direction of motion is unknown, or changes at an unknown time, it is anywhere between the least
+    and the largest of the four.
+    """
+    four = np.concatenate([before, friction])
+    middle = four.mean(axis=0)
+    return middle, np.maximum(four.max(axis=0) - middle, middle - four.min(axis=0))
 
 
 def torque_model(robot: IdentificationResult | RobotModel | TorqueModel) -> TorqueModel:

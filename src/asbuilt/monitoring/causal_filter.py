@@ -62,6 +62,15 @@ def filter_pole(bandwidth: float, rate: float) -> float:
     return float(min(FASTER * 2.0 * np.pi * bandwidth, PER_PERIOD * 2.0 * np.pi * rate))
 
 
+def pole_for(steps: Array, bandwidth: float) -> float:
+    """Return the pole [rad/s] beside an observer of `bandwidth` [Hz] for time steps [s] of a log.
+
+    Steps that are not positive do not count.
+    """
+    forward = steps[steps > 0.0]
+    return filter_pole(bandwidth, 1.0 / float(np.median(forward)) if forward.size else 1e3)
+
+
 def filtered_log(dt: Array, q: Array, tau: Array, pole: float) -> tuple[Array, Array, Array, Mask]:
     """Return filtered positions, their derivatives and filtered torques of a log, three (N, n).
 

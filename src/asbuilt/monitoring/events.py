@@ -145,7 +145,8 @@ def _event(
     peak = part.start + int(np.argmax(ratio.max(axis=1)))
     responding = np.flatnonzero(beyond[part].any(axis=0))
     q, qd, qdd, r = (x[peak] for x in (observed.q, observed.qd, observed.qdd, observed.residual))
-    noise = np.diag(np.maximum(scale[peak], 1e-9) ** 2)
+    uniform = observed.unknown_friction[peak] ** 2 / 3.0
+    noise = np.diag(np.maximum(scale[peak] ** 2 + uniform, 1e-18))
     event = Event(
         kind="contact",
         start=float(t[0]),

@@ -12,8 +12,8 @@ from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.balance import MomentumBalance, torque_model
-from asbuilt.monitoring.causal_filter import CausalFilter, filter_pole, filtered_log
+from asbuilt.monitoring.balance import MomentumBalance, friction_between, torque_model
+from asbuilt.monitoring.causal_filter import CausalFilter, filter_pole, filtered_log, pole_for
 from asbuilt.monitoring.model_error import ModelError
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.thresholds import Thresholds
@@ -43,13 +43,19 @@ class Observer:
         An identified robot, or one as described with the drives of its description.
     bandwidth
         K over 2 pi [Hz].
+    velocity_error
+        Largest error (n,) of the velocities [rad/s or m/s], 0 by default (`largest_velocity_error`
+        finds it). Within it of standstill the direction of friction is unknown; friction then is
+        the mean of both, and half of their difference adds to the threshold.
     thresholds
-        Limits of the residual, for `threshold` and `alarms`; their bandwidth replaces `bandwidth`.
+        Limits of the residual, for `threshold` and `alarms`; their bandwidth and velocity error
+        replace those given.
 
     Raises
     ------
     UsageError
-        If the bandwidth is not positive, or thresholds belong to other joints.
+        If the bandwidth is not positive, a velocity error is negative or not one per joint, or
+        thresholds belong to other joints.
 
     Examples
     --------
@@ -70,18 +76,20 @@ class Observer:
         robot: IdentificationResult | RobotModel | TorqueModel,
         *,
         bandwidth: float = BANDWIDTH,
+        velocity_error: ArrayLike = 0.0,
         thresholds: Thresholds | None = None,
     ) -> None:
         self.torque_model = torque_model(robot)
         self.model = self.torque_model.model
         if thresholds is not None:
             thresholds.check_joints(self.model.joint_names)
-            bandwidth = thresholds.bandwidth
+            bandwidth, velocity_error = thresholds.bandwidth, thresholds.velocity_error
         if not (np.isfinite(bandwidth) and bandwidth > 0.0):
             raise UsageError(f"the bandwidth must be a positive number [Hz], got {bandwidth}")
         self.bandwidth, self.thresholds = bandwidth, thresholds
+        self.velocity_error = _of_joints(velocity_error, self.model.n_joints)
         self.model_error = ModelError.of(robot)
-        self._balance = MomentumBalance(self.torque_model)
+        self._balance = MomentumBalance(self.torque_model, self.velocity_error)
         self._gain = 2.0 * np.pi * bandwidth
         self._filter: CausalFilter | None = None
         self.restart()
@@ -91,8 +99,10 @@ class Observer:
         n = self.model.n_joints
         self._t: float | None = None
         self._p = self._s = self._tau = np.zeros(n)
+        self._friction = np.zeros((2, n))
         self.q, self.qd, self.qdd = np.zeros(n), np.zeros(n), np.zeros(n)
         self.residual, self.slowness, self.step = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.unknown_friction = np.zeros(n)
 
     def update(self, t: float, q: ArrayLike, tau: ArrayLike, qd: ArrayLike | None = None) -> Array:
         """Return the residual (n,) [N m or N] after one more sample.
@@ -142,7 +152,8 @@ class Observer:
                 cure=Cure("give it thresholds", call="set_thresholds"),
             )
         error = self.model_error.std(self.q[None], self.qd[None], self.qdd[None])[0]
-        return self.thresholds.limit(self.qd, self.slowness, self.step, error)
+        parts = self.slowness, self.step, self.unknown_friction
+        return self.thresholds.limit(self.qd, *parts, error)
 
     @property
     def alarms(self) -> tuple[str, ...]:
@@ -185,18 +196,19 @@ class Observer:
             v = np.ascontiguousarray(qd, dtype=np.float64)
         _check_finite(times, q=q, tau=tau, qd=v)
         share = np.where(steps > 0.0, -np.expm1(-self._gain * np.maximum(steps, 0.0)), -1.0)
-        p, b = self._balance.of_samples(q, v)
+        p, b, friction = self._balance.of_samples(q, v)
         s, inner = tau + b, np.maximum(steps, 1e-12)[1:, None]
-        external, rate, step = np.zeros(q.shape), np.zeros(q.shape), np.zeros(q.shape)
-        external[1:] = np.diff(p, axis=0) / inner - 0.5 * (s[1:] + s[:-1])
+        rate, step, unknown, external = np.zeros((4, *q.shape))
+        middle, unknown[1:] = friction_between(friction[:, :-1], friction[:, 1:])
+        external[1:] = np.diff(p, axis=0) / inner - 0.5 * (s[1:] + s[:-1]) + middle
         rate[1:] = np.diff(v, axis=0) / inner
         step[1:] = np.abs(np.diff(tau, axis=0))
-        return Observed(times, share, q, v, *(lagged(share, x) for x in (rate, step, external)))
+        parts = (lagged(share, x) for x in (rate, step, unknown, external))
+        return Observed(times, share, q, v, *parts)
 
     def pole(self, steps: Array) -> float:
         """Return the pole [rad/s] of the causal filter for positive time steps [s]."""
-        forward = steps[steps > 0.0]
-        return filter_pole(self.bandwidth, 1.0 / float(np.median(forward)) if forward.size else 1e3)
+        return pole_for(steps, self.bandwidth)
 
     def _filtered(self, dt: float, q: Array, tau: Array) -> tuple[Array, Array, Array]:
         """Return filtered position, velocity and torque; the second sample settles the filter."""
@@ -212,18 +224,30 @@ class Observer:
         return x[:n].copy(), v[:n].copy(), x[n:].copy()
 
     def _advance(self, dt: float, q: Array, qd: Array, tau: Array) -> None:
-        p, b = self._balance.of_sample(np.ascontiguousarray(q), np.ascontiguousarray(qd))
+        p, b, f = self._balance.of_sample(np.ascontiguousarray(q), np.ascontiguousarray(qd))
         s = tau + b
         if dt <= LONGEST_STEP:
             share = -np.expm1(-self._gain * dt)
-            external = (p - self._p) / dt - 0.5 * (s + self._s)
+            middle, unknown = friction_between(self._friction, f)
+            external = (p - self._p) / dt - 0.5 * (s + self._s) + middle
             self.residual = self.residual + share * (external - self.residual)
             self.qdd = self.qdd + share * ((qd - self.qd) / dt - self.qdd)
             self.step = self.step + share * (np.abs(tau - self._tau) - self.step)
+            self.unknown_friction = self.unknown_friction + share * (
+                unknown - self.unknown_friction
+            )
             if self.thresholds is not None:
                 slow = self.thresholds.slow(self.qd, qd)
                 self.slowness = self.slowness + share * (slow - self.slowness)
-        self._p, self._s, self._tau, self.q, self.qd = p, s, tau, q, qd
+        self._p, self._s, self._friction, self._tau, self.q, self.qd = p, s, f, tau, q, qd
+
+
+def _of_joints(velocity_error: ArrayLike, n: int) -> Array:
+    """Return velocity errors as (n,), or raise `UsageError`."""
+    given = np.asarray(velocity_error, dtype=np.float64)
+    if given.shape not in ((), (n,)) or not np.all(np.isfinite(given) & (given >= 0.0)):
+        raise UsageError(f"velocity errors must be {n} numbers, at least 0, got {given.tolist()}")
+    return np.broadcast_to(given, n)
 
 
 def _check_finite(t: Array, **given: Array) -> None:

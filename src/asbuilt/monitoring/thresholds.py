@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -21,7 +21,7 @@ BLOCK = 1.0
 SLOW = (0.01, 0.03, 0.1, 0.3)
 """Speeds, as shares of the top speed, below which friction may be in error; one is chosen."""
 POSITIVE = ("level", "floor", "slow_speed")
-NOT_NEGATIVE = ("slow_part", "fast", "top_speed")
+NOT_NEGATIVE = ("slow_part", "fast", "top_speed", "velocity_error")
 HALF = 0.5
 """Largest error of the mean of a torque that steps between two samples, per step."""
 MOST = 0.5
@@ -32,14 +32,15 @@ LEAST = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thresholds:
-    """Hold limits of the residual of each joint: `level S + u / 2`, with the scale S of its errors.
+    """Hold limits of the residual of each joint: `level S + u / 2 + w`, S the scale of its errors.
 
     `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + model^2`: a constant, friction near standstill with
     phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples, growth with
     speed, and the standard deviation of the predicted torque that follows from the covariance of
     the parameters. u is the lagged size `|tau_k - tau_(k-1)|` of the steps of torque: one at an
     unknown time between two samples has a mean there that is off by at most half of it. A contact
-    raises its own threshold by less than half of what it adds to the residual.
+    raises its own threshold by less than half of what it adds to the residual. w is the lagged
+    largest error of friction whose direction is unknown (`Observed.unknown_friction`).
 
     Parameters
     ----------
@@ -55,6 +56,8 @@ class Thresholds:
     level, floor, slow_part, fast, slow_speed, top_speed
         Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`],
         and speeds [rad/s or m/s], the last the highest met.
+    velocity_error
+        Largest error of the velocities [rad/s or m/s] per joint, (n,); none given: 0.
     tails
         The tail of each joint's block maxima.
     held_out
@@ -80,12 +83,15 @@ class Thresholds:
     fast: Array
     slow_speed: Array
     top_speed: Array
+    velocity_error: Array = field(default_factory=lambda: np.zeros(0))
     tails: tuple[Tail, ...] = ()
     held_out: bool = True
     filtered: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
+        if np.size(self.velocity_error) == 0:
+            object.__setattr__(self, "velocity_error", np.zeros(n))
         for name in ("bandwidth", "false_alarms_per_hour", "block_seconds", "hours", "rate"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
@@ -119,9 +125,11 @@ class Thresholds:
         square = self.floor**2 + self.slow_part**2 * slowness + (self.fast * qd) ** 2
         return np.asarray(np.sqrt(square + model**2))
 
-    def limit(self, qd: Array, slowness: Array, step: Array, model: Array) -> Array:
+    def limit(
+        self, qd: Array, slowness: Array, step: Array, unknown_friction: Array, model: Array
+    ) -> Array:
         """Return the largest residual that is no alarm [N m or N], shape of `qd`."""
-        return self.level * self.scale(qd, slowness, model) + HALF * step
+        return self.level * self.scale(qd, slowness, model) + HALF * step + unknown_friction
 
     def of_log(self, observed: Observed, error: ModelError) -> tuple[Array, Array]:
         """Return scale and limit (N, n) along a log."""
@@ -129,7 +137,12 @@ class Thresholds:
         slowness = lagged(observed.share, self.slow(before, observed.qd))
         model = error.std(observed.q, observed.qd, observed.qdd)
         scale = self.scale(observed.qd, slowness, model)
-        return scale, self.level * scale + HALF * observed.step
+        return scale, self.level * scale + bounded(observed)
+
+
+def bounded(observed: Observed) -> Array:
+    """Return what errors of known bounds may add to the residual (N, n) [N m or N]."""
+    return HALF * observed.step + observed.unknown_friction
 
 
 def sampling_rates(t: Array) -> Array:
@@ -156,14 +169,16 @@ def set_thresholds(
     joint_names: Sequence[str],
     *,
     bandwidth: float,
+    velocity_error: Array | None = None,
     false_alarms_per_hour: float = 1.0,
     held_out: bool = True,
     filtered: bool = False,
 ) -> Thresholds:
     """Set thresholds from residuals without contact.
 
-    Residuals, less what steps of torque may cause, are divided by their scale S, which removes most
-    of what speed and pose change, and the largest of each block follow a tail (`tail_level`).
+    Residuals, less what errors of known bounds may cause, are divided by their scale S, which
+    removes most of what speed and pose change, and the largest of each block follow a tail
+    (`tail_level`).
     Assumptions: the motions ahead are like those of the recordings, blocks are independent, and
     joints may alarm one at a time, so that their rates add up.
 
@@ -177,6 +192,8 @@ def set_thresholds(
         Names of the n joints.
     bandwidth
         Bandwidth of the observer [Hz].
+    velocity_error
+        Its largest error of the velocities (n,) [rad/s or m/s].
     false_alarms_per_hour
         Rate of false alarms for the whole robot.
     held_out
@@ -226,11 +243,12 @@ def set_thresholds(
             fast=np.array([part[2] for part in parts]),
             slow_speed=np.array([part[3] for part in parts]),
             top_speed=np.max([np.abs(log.qd).max(axis=0) for log in logs], axis=0),
+            velocity_error=np.zeros(n) if velocity_error is None else velocity_error,
             held_out=held_out,
             filtered=filtered,
         )
         ratios = [
-            np.maximum(np.abs(log.residual) - HALF * log.step, 0.0) / made.of_log(log, error)[0]
+            np.maximum(np.abs(log.residual) - bounded(log), 0.0) / made.of_log(log, error)[0]
             for log in logs
         ]
         if last:
@@ -279,19 +297,21 @@ def _parts(
     """Return floor, slow part, fast part and slow speed of joint j.
 
     They are the most likely for normal residuals of these scales, by weighted least squares of the
-    squares; a share of the steps of torque is fitted beside them.
+    squares; shares of the steps of torque and of the unknown friction are fitted beside them.
     """
-    residual, speed, model, step = (
+    residual, speed, model, step, unknown = (
         np.concatenate([each[keep] for each, keep in zip(arrays, kept, strict=True)])
         for arrays in (
             [log.residual[:, j] for log in logs],
             [log.qd[:, j] for log in logs],
             [each[:, j] ** 2 for each in models],
             [log.step[:, j] for log in logs],
+            [log.unknown_friction[:, j] for log in logs],
         )
     )
     size = float(np.sqrt(np.mean(residual**2)))
-    squares, model, step = (residual / size) ** 2, model / size**2, step / size
+    squares, model = (residual / size) ** 2, model / size**2
+    beside = np.column_stack([step, unknown]) / size
     top = float(np.abs(speed).max()) or 1.0
     least = [least_speed(velocities_before(log), log.qd) for log in logs]
     best: tuple[float, tuple[float, float, float, float]] | None = None
@@ -303,7 +323,7 @@ def _parts(
                 for log, speed_of, keep in zip(logs, least, kept, strict=True)
             ]
         )
-        columns = np.column_stack([np.ones(len(squares)), slowness, (speed / top) ** 2, step**2])
+        columns = np.column_stack([np.ones(len(squares)), slowness, (speed / top) ** 2, beside**2])
         variance = np.ones(len(squares))
         for _ in range(6):
             found = _non_negative(columns / variance[:, None], (squares - model) / variance)
@@ -311,7 +331,7 @@ def _parts(
             variance = columns @ found + model
         cost = float(np.sum(np.log(variance) + squares / variance))
         if best is None or cost < best[0]:
-            a, b, c, _ = (size * np.sqrt(found)).tolist()
+            a, b, c = (size * np.sqrt(found[:3])).tolist()
             best = cost, (a, b, c / top, slow_speed)
     assert best is not None
     return best[1]

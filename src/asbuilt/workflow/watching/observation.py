@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from asbuilt.arrays import Mask
+from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
@@ -23,8 +23,10 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.signal.velocity_choice import compare_velocities
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring.causal_filter import pole_for
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
+from asbuilt.monitoring.velocity_error import largest_velocity_error
 
 FEWEST = 10
 """Samples of the shortest log."""
@@ -91,6 +93,20 @@ def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
             )
             pairs.append((smooth, logged, derived, segment.qd))
     return bool(pairs) and compare_velocities(pairs, rate).helps
+
+
+def doubtful_speed(
+    logs: Sequence[Recording | RecordingStream], bandwidth: float, *, measured: bool
+) -> Array:
+    """Return the speeds (n,) [rad/s or m/s] below which the direction of motion is unknown.
+
+    `measured` says whether logged velocities are used, or positions behind the causal filter of an
+    observer of `bandwidth` [Hz].
+    """
+    heads = [head_of(log) for log in logs]
+    steps = np.concatenate([np.diff(head.t) for head in heads])
+    pole = None if measured else pole_for(steps, bandwidth)
+    return largest_velocity_error([(head.t, head.q, head.qd) for head in heads], pole)
 
 
 def observed_parts(

@@ -22,6 +22,7 @@ from asbuilt.workflow.study import Study
 from asbuilt.workflow.watching.observation import (
     check_joints,
     check_log,
+    doubtful_speed,
     held_out_part,
     logged,
     observed_parts,
@@ -97,7 +98,6 @@ def watch(
             check_log(result, each)
     robot = result if options.model == "as_built" else result.model
     bandwidth = options.bandwidth if thresholds is None else thresholds.bandwidth
-    observer = Observer(robot, bandwidth=bandwidth, thresholds=thresholds)
     measured = (
         all(uses_logged_velocities(each) for each in (log, *quiet))
         if thresholds is None
@@ -107,9 +107,11 @@ def watch(
     findings = velocity_findings(log, measured=measured)
     if thresholds is None:
         report("thresholds", 0.0)
+        error = doubtful_speed(quiet or [log], bandwidth, measured=measured)
+        observer = Observer(robot, bandwidth=bandwidth, velocity_error=error)
         thresholds, said = _thresholds(result, observer, log, quiet, options, measured=measured)
         findings += said
-        observer = Observer(robot, thresholds=thresholds)
+    observer = Observer(robot, thresholds=thresholds)
     return _watched(result, observer, thresholds, log, options, findings, measured, report)
 
 
@@ -179,6 +181,7 @@ def _thresholds(
         observer.model_error,
         observer.model.joint_names,
         bandwidth=observer.bandwidth,
+        velocity_error=observer.velocity_error,
         false_alarms_per_hour=options.false_alarms_per_hour,
         held_out=bool(quiet),
         filtered=not measured,

@@ -61,6 +61,9 @@ typedef struct {{
     double velocity[{n}];
     double acceleration[{n}]; /* lagged */
     double step[{n}];         /* lagged size of the steps of torque between samples */
+    double least[{n}];        /* friction at the ends of the velocities that a sample stands for */
+    double most[{n}];
+    double unknown[{n}];      /* lagged largest error of friction of unknown direction */
 {slow if limits else ""}    int started;
 }} {name}_observer;
 
@@ -88,6 +91,8 @@ def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> s
             observer->slowness[j] += share*(exp(-least*least) - observer->slowness[j]);
 """
     tables = "" if thresholds is None else _table("slow_speed", thresholds.slow_speed) + "\n"
+    errors = np.zeros(n) if thresholds is None else thresholds.velocity_error
+    tables += _table("velocity_error", errors) + "\n"
     return f"""{tables}void {name}_observer_restart({name}_observer *observer)
 {{
     for (int j = 0; j < {n}; j++) {{
@@ -98,6 +103,9 @@ def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> s
         observer->velocity[j] = 0.0;
         observer->acceleration[j] = 0.0;
         observer->step[j] = 0.0;
+        observer->least[j] = 0.0;
+        observer->most[j] = 0.0;
+        observer->unknown[j] = 0.0;
 {slow_start}    }}
     observer->started = 0;
 }}
@@ -105,25 +113,40 @@ def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> s
 void {name}_observer_update({name}_observer *observer, double dt, const double q[{n}],
     const double qd[{n}], const double tau[{n}])
 {{
-    double momentum[{n}], gradient[{n}], gravity[{n}], friction[{n}];
+    double momentum[{n}], gradient[{n}], gravity[{n}], slower[{n}], faster[{n}];
+    double least[{n}], most[{n}];
     if (!(dt > 0.0 && dt <= {LONGEST_STEP!r})) {name}_observer_restart(observer);
     {name}_momentum(q, qd, momentum, gradient);
     {name}_gravity_torque(q, gravity);
-    {name}_friction(q, qd, friction);
+    for (int j = 0; j < {n}; j++) {{
+        slower[j] = qd[j] - velocity_error[j];
+        faster[j] = qd[j] + velocity_error[j];
+    }}
+    {name}_friction(q, slower, least);
+    {name}_friction(q, faster, most);
     const double share = -expm1(-{2.0 * np.pi * width!r}*dt);
     for (int j = 0; j < {n}; j++) {{
-        const double torque = tau[j] + (gradient[j] - gravity[j] - friction[j]);
+        const double torque = tau[j] + (gradient[j] - gravity[j]);
         if (observer->started) {{
+            const double friction
+                = 0.25*(least[j] + most[j] + observer->least[j] + observer->most[j]);
+            const double above = fmax(fmax(least[j], most[j]),
+                fmax(observer->least[j], observer->most[j])) - friction;
+            const double below = friction - fmin(fmin(least[j], most[j]),
+                fmin(observer->least[j], observer->most[j]));
             const double external = (momentum[j] - observer->momentum[j])/dt
-                - 0.5*(torque + observer->torque[j]);
+                - 0.5*(torque + observer->torque[j]) + friction;
             const double rate = (qd[j] - observer->velocity[j])/dt;
             observer->residual[j] += share*(external - observer->residual[j]);
             observer->acceleration[j] += share*(rate - observer->acceleration[j]);
             observer->step[j] += share*(fabs(tau[j] - observer->effort[j]) - observer->step[j]);
+            observer->unknown[j] += share*(fmax(above, below) - observer->unknown[j]);
 {slow}        }}
         observer->momentum[j] = momentum[j];
         observer->torque[j] = torque;
         observer->effort[j] = tau[j];
+        observer->least[j] = least[j];
+        observer->most[j] = most[j];
         observer->velocity[j] = qd[j];
     }}
     observer->started = 1;
@@ -142,7 +165,8 @@ def _threshold_header(name: str, n: int, thresholds: Thresholds) -> str:
 /*
  * Thresholds for {rate:g} false alarms per hour, all joints together, in motions like the
  * {3600.0 * thresholds.hours:.0f} s that they were set on: level times the scale of the errors at
- * this speed and pose, the covariance of the parameters included, and half of the steps of torque.
+ * this speed and pose, the covariance of the parameters included, half of the steps of torque,
+ * and half of the friction whose direction is unknown.
  * q is that of the last update.{filtered}
  */
 void {name}_observer_threshold(const {name}_observer *observer, const double q[{n}],
@@ -187,7 +211,8 @@ void {name}_observer_threshold(const {name}_observer *observer, const double q[{
 {regressor}    for (int j = 0; j < {n}; j++) {{
         const double speed = fast[j]*observer->velocity[j];
         double square = floor_square[j] + slow_square[j]*observer->slowness[j] + speed*speed;
-{spread}        threshold[j] = level[j]*sqrt(square) + {HALF!r}*observer->step[j];
+{spread}        threshold[j] = level[j]*sqrt(square) + {HALF!r}*observer->step[j]
+            + observer->unknown[j];
     }}
 }}
 
