@@ -54,9 +54,8 @@ def excitation_findings(
     observed = observation_matrix(model, *states, drive=base.drive, columns=base.columns)
     lengths = np.linalg.norm(observed, axis=0)
     zero = lengths <= _RANK_TOLERANCE * np.max(lengths)
-    _, values, directions = np.linalg.svd(
-        observed / np.where(zero, 1.0, lengths), full_matrices=False
-    )
+    triangle = np.linalg.qr(observed / np.where(zero, 1.0, lengths), mode="r")
+    _, values, directions = np.linalg.svd(triangle, full_matrices=False)
     rank = int(np.sum(values > _RANK_TOLERANCE * values[0]))
     worst = joined([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
     if rank < base.n_base:

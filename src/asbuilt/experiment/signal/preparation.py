@@ -45,6 +45,8 @@ def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
     >>> round(resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q)).cutoff, 2)
     7.0
     """
+    if chain.cutoff is not None and (chain.rests or chain.standstill is not None):
+        return chain
     chains = [
         _resolved(chain, *_segments(recording, chain)[:2], _commanded(recording))[0]
         for recording in recordings

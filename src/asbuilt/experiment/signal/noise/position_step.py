@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import compiled_with_reordered_sums
 
 MOST_DIFFERENCES = 20_000
 """Differences of a joint that are used; of longer recordings every second, third, ..."""
@@ -62,7 +62,7 @@ def _step(differences: Array) -> float:
     size = size[size > 1e-9 * max(float(size.max()), np.finfo(np.float64).tiny)]
     if size.size < FEWEST:
         return 0.0
-    few = size[:: max(1, size.size // FEW)]
+    few = np.ascontiguousarray(size[:: max(1, size.size // FEW)])
     for candidate in _candidates(size):
         if _share(few, _refined(few, candidate)) < ROUGHLY:
             continue
@@ -83,29 +83,35 @@ def _candidates(size: Array) -> Array:
     return np.unique(found)[::-1]
 
 
-@compiled
+@compiled_with_reordered_sums
 def _refined(size: Array, step: float) -> float:
-    """Return the least-squares step of the differences that are near multiples of `step`."""
+    """Return the least-squares step of the differences that are near multiples of `step`.
+
+    Without branches the sums run in vector registers.
+    """
     for most in (2.5, 8.5, LARGEST_MULTIPLE):
         product = square = 0.0
-        for x in size:
-            multiple = np.rint(x / step)
-            if abs(x / step - multiple) < 2.0 * NEAR and 1.0 <= multiple < most:
-                product += x * multiple
-                square += multiple * multiple
+        for k in range(size.size):
+            ratio = size[k] / step
+            multiple = np.rint(ratio)
+            near = (abs(ratio - multiple) < 2.0 * NEAR) & (multiple >= 1.0) & (multiple < most)
+            weight = multiple if near else 0.0
+            product += size[k] * weight
+            square += weight * weight
         if square > 0.0:
             step = product / square
     return step
 
 
-@compiled
+@compiled_with_reordered_sums
 def _share(size: Array, step: float) -> float:
     """Return the share of differences that are near multiples of `step`."""
-    count = 0
-    for x in size:
-        multiple = np.rint(x / step)
-        if abs(x / step - multiple) < NEAR and multiple >= 1.0:
-            count += 1
+    count = 0.0
+    for k in range(size.size):
+        ratio = size[k] / step
+        multiple = np.rint(ratio)
+        near = (abs(ratio - multiple) < NEAR) & (multiple >= 1.0)
+        count += 1.0 if near else 0.0
     return count / size.size
 
 

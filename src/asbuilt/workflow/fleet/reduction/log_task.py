@@ -43,6 +43,9 @@ OTHER_CUTOFF = 1.5
 """Ratio of the cutoff that a log calls for to that of its type from which it is named."""
 OTHER_POSITION = 5e-3
 """Difference of positions [rad or m] of a locked joint from which two logs do not merge."""
+CHECKED_SECONDS = 120.0
+CHECKED_SAMPLES = 10_000
+"""Time [s] and samples at the beginning of a log whose check suffices if it finds nothing."""
 COVARIATES = ("temperature", "temp")
 """Words in the names of quantities that are kept beside the information."""
 
@@ -233,7 +236,16 @@ def block_covariates(head: Recording, information: SquareRootInformation) -> dic
 
 
 def _checked(settings: TypeSettings, beginning: Recording) -> tuple[str, ...]:
-    """Return the codes of warnings of a recording; raise `RecordingError` if it has errors."""
+    """Return the codes of warnings of a recording; raise `RecordingError` if it has errors.
+
+    All of a beginning is checked only if something is found in the first part of it.
+    """
+    early = int(np.count_nonzero(beginning.t - beginning.t[0] < CHECKED_SECONDS))
+    enough = slice(0, max(CHECKED_SAMPLES, early))
+    if enough.stop < beginning.n_samples:
+        first = check_recording(settings.model, beginning.taken(enough))
+        if not (first.errors or first.warnings):
+            return ()
     check = check_recording(settings.model, beginning)
     check.raise_errors(but=())
     return tuple(dict.fromkeys(found.code for found in check.warnings))
