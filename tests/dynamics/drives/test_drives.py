@@ -10,6 +10,7 @@ import pytest
 from asbuilt.description.model import DriveValues
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet, available_terms
 from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
+from asbuilt.dynamics.drives.torque import drive_columns, drive_torque
 from asbuilt.errors import UsageError
 
 
@@ -131,3 +132,19 @@ def test_what_a_gear_does_to_a_parameter_is_what_it_does_to_speed_and_torque(key
     term.evaluate(ratio * q, ratio * qd, ratio * qdd, load / ratio, at_motor)
     powers = np.array(term.powers_of_ratio())[:, None]
     np.testing.assert_allclose(at_joint, ratio ** (1.0 - powers) * at_motor, atol=1e-12)
+
+
+def test_torque_is_the_sum_of_the_columns_of_each_joint():
+    drive = DriveSet.parse("armature,viscous:joints=2,coulomb")
+    q, qd, qdd, load = np.random.default_rng(4).normal(size=(4, 50, 3))
+    drive = drive.with_term(LoadFriction())
+    values = np.arange(1.0, 1.0 + 3 * drive.columns_per_joint)
+    columns = [drive_columns(drive, k, q, qd, qdd, load=load) for k in range(3)]
+    expected = np.column_stack(
+        [own @ each for own, each in zip(values.reshape(3, -1), columns, strict=True)]
+    )
+    found = drive_torque(drive, values, q, qd, qdd, load=load)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    several = drive.with_term(LoadFriction(width=(0.1, 0.1, 0.1)))
+    found = drive_torque(several, values, q, qd, qdd, load=load)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)

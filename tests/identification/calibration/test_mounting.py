@@ -18,7 +18,7 @@ from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.calibration.mounting import find_mounting
+from asbuilt.identification.calibration.mounting import _block_costs, _cost, find_mounting
 from asbuilt.workflow.study import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -50,6 +50,14 @@ def test_tilt_of_a_simulated_robot_is_found_within_its_error(trial, robot):
     assert np.linalg.norm(found.gravity) == pytest.approx(9.81)
     assert np.sqrt(np.mean(found.rms**2)) < np.sqrt(np.mean(found.rms_as_given**2))
     assert found.sentence.startswith("base tilt of")
+
+
+def test_cost_of_predicted_torques_is_that_of_the_factors(trial):
+    case = trial("scara", "viscous,coulomb,offset", seed=5, duration=8.0, rate=20.0, noise=0.02)
+    weights = 1.0 / (1.0 + np.arange(case.model.n_joints))
+    by_blocks = _block_costs(case.information, case.base, weights, case.chi)
+    cost = _cost(case.model, case.base.drive, case.chi, weights, [case.samples])
+    assert cost == pytest.approx(by_blocks.sum(), rel=1e-9)
 
 
 def test_a_level_robot_stays_level(trial):

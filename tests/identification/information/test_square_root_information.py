@@ -14,7 +14,7 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics.regressor import RegressorPlan, observation_matrix
 from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
@@ -26,6 +26,7 @@ from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import solve_factor
+from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     accumulate,
@@ -97,6 +98,23 @@ def test_parallel_filter_goes_over_every_column_segment_by_segment(robot):
     information = accumulate(model, base, samples, block_seconds=2.0)
     assert information.n_samples == samples.n_filtered
     assert_same_information(information, joint_stacks(model, base, samples))
+
+
+@pytest.mark.parametrize("parallel", [None, design_parallel_filter(8.0, 100.0, 3)])
+def test_torque_of_a_block_is_filtered_as_its_rows_are(robot, parallel):
+    model, base = robot
+    samples = recording(
+        model,
+        parallel=parallel,
+        segments=((0, 700), (720, 1500)),
+        slowest=(0.05,) * model.n_joints,
+    )
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
+    for block in sample_blocks(model, [samples], 2.0):
+        rows = [[joint[-1].copy() for joint in chunk] for chunk in block.chunks(plan)]
+        alone = block.filtered(lambda span: samples.tau[span])
+        np.testing.assert_allclose(alone, np.hstack(rows), rtol=0, atol=1e-12)
+        assert np.any(alone == 0.0)
 
 
 def test_a_stretch_too_short_for_the_filter_is_left_out_and_nothing_left_is_an_error(robot):

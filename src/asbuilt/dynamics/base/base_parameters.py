@@ -22,7 +22,7 @@ from asbuilt.tables import Column, Table
 
 SHOWN = 12
 """Base parameters that `repr` lists."""
-KEPT = 16
+KEPT = 48
 """Robots and drives whose base parameters are kept, for the logs of one robot."""
 
 

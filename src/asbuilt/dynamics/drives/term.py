@@ -126,9 +126,10 @@ class DriveTerm:
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write the columns of one joint into `out` (len(symbols), n_samples).
 
-        The inputs have shape (n_samples,). `load` is the rigid-body torque [N m or N], required by
-        terms that need it; a term `of_motor` takes the motion of the motor. Raises UsageError where
-        a load is missing.
+        The inputs have shape (n_samples,), or all one other shape, such as that of several joints,
+        which `out` then has after its first axis. `load` is the rigid-body torque [N m or N],
+        required by terms that need it; a term `of_motor` takes the motion of the motor. Raises
+        UsageError where a load is missing.
         """
         values: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "load": load}
         if load is None and self.needs_load:
@@ -191,6 +192,11 @@ class DriveTerm:
     def is_at(self, joint: int) -> bool:
         """Whether a joint (counted from 0) has the term."""
         return self.joints is None or joint + 1 in self.joints
+
+    @property
+    def differs_by_joint(self) -> bool:
+        """Whether a nonlinear parameter has one value per joint."""
+        return any(isinstance(getattr(self, each.name), tuple) for each in self.nonlinear)
 
     def at(self, joint: int) -> Self:
         """Return the term of one joint (counted from 0), one value per nonlinear parameter."""

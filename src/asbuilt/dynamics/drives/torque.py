@@ -75,12 +75,29 @@ def drive_torque(
             f" parameters, got shape {theta.shape}"
         )
     torque = np.zeros(q.shape)
-    of_motor = drive.of_motor
-    for k, joint_values in enumerate(theta.reshape(n, -1)):
+    of_motor, each = drive.of_motor, theta.reshape(n, -1)
+    if not of_motor.any() and not any(term.differs_by_joint for term in drive.terms):
+        return _alike(drive, each, q, qd, qdd, load)
+    for k, joint_values in enumerate(each):
         columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares)
         torque[:, k] += joint_values[~of_motor] @ columns[~of_motor]
         if of_motor.any() and shares is not None and shares[k].any():
             torque += np.outer(joint_values[of_motor] @ columns[of_motor], shares[k])
+    return torque
+
+
+def _alike(
+    drive: DriveSet, values: Array, q: Array, qd: Array, qdd: Array, load: Array | None
+) -> Array:
+    """Return the torque of terms whose columns are one function of each joint's own state."""
+    torque, column = np.zeros(q.shape), 0
+    for term in drive.terms:
+        s = len(term.symbols)
+        joints = [k for k in range(q.shape[1]) if term.is_at(k)]
+        own, column = values[:, column : column + s], column + s
+        columns = np.empty((s, *q.shape))
+        term.evaluate(q, qd, qdd, load, columns)
+        torque[:, joints] += np.einsum("smk,ks->mk", columns[:, :, joints], own[joints])
     return torque
 
 

@@ -22,10 +22,12 @@ from asbuilt.identification.bodies.body_bounds import BodyBounds, generous_bound
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_consistent
+from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
+from asbuilt.identification.result.torque_prediction import parameter_torque
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -35,10 +37,14 @@ SEARCHES = (1e-4, 1e-7)
 """Relative falls of the cost at which two searches end; the second has the joint weights of the
 first."""
 MOST_TRIES = 80
+MOST_SHORTER = 8
+"""Trials of one line search: near the minimum the tolerance of the conic program ends it."""
 STEP = 20e-3
 """Unit of the tilt in the search [rad]."""
 SLOPE = 1e-5
 """Step [rad] of the slopes of the cost with the parameters held, which is quadratic there."""
+AT_ONCE = 60.0
+"""Seconds of samples whose torques are predicted at once."""
 DIFFERENCE = 4e-3
 """Step [rad] of the finite differences of the cost."""
 FARTHEST = 0.35
@@ -193,11 +199,10 @@ def find_mounting(
         tilt = STEP * steps
         seen = information(tilt)
         chi = problem.fit(seen.stacked(weights)).chi
-        here = float(_block_costs(seen, base, weights, chi).sum())
-        moved = [
-            float(_block_costs(information(tilt + step), base, weights, chi).sum())
-            for step in SLOPE * np.eye(2)
-        ]
+        here, *moved = (
+            _cost(_turned(model, axes, tilt + step), drive, chi, weights, batches)
+            for step in SLOPE * np.eye(3, 2, -1)
+        )
         return here, STEP * (np.array(moved) - here) / SLOPE
 
     tilt = np.zeros(2)
@@ -211,7 +216,7 @@ def find_mounting(
                 method="L-BFGS-B",
                 jac=True,
                 bounds=[(-FARTHEST / STEP, FARTHEST / STEP)] * 2,
-                options={"ftol": enough, "maxfun": MOST_TRIES},
+                options={"ftol": enough, "maxfun": MOST_TRIES, "maxls": MOST_SHORTER},
             )
             tilt = STEP * np.asarray(found.x)
             seen = information(tilt)
@@ -250,13 +255,33 @@ def _settled(
     return fit, np.sqrt(information.residual_energy(fit.beta) / information.n_samples)
 
 
+def _cost(
+    model: RobotModel, drive: DriveSet, chi: Array, weights: Array, batches: Sequence[Samples]
+) -> float:
+    """Return the cost with given standard parameters, from the torques that they predict."""
+    cost = 0.0
+    for part in sample_blocks(model, batches, AT_ONCE):
+        given = part.samples
+
+        def error(span: slice, given: Samples = given) -> Array:
+            state = given.q[span], given.qd[span], given.qdd[span]
+            return given.tau[span] - parameter_torque(model, drive, chi, *state)[1]
+
+        cost += 0.5 * float(np.sum((weights[:, None] * part.filtered(error)) ** 2))
+    return cost
+
+
 def _block_costs(
     information: SquareRootInformation, base: BaseParameters, weights: Array, chi: Array
 ) -> Array:
     """Return each block's part of the cost, shape (n_blocks,)."""
-    residual = np.append(-(base.regrouping @ chi), 1.0)
-    errors = [information.block_stacked(b, weights) @ residual for b in range(information.n_blocks)]
-    return np.array([0.5 * float(error @ error) for error in errors])
+    beta, costs = base.regrouping @ chi, np.zeros(information.n_blocks)
+    for weight, support, factors in zip(
+        weights, information.support, information.factors, strict=True
+    ):
+        errors = factors @ np.append(-beta[support], 1.0)
+        costs += 0.5 * weight**2 * np.sum(errors**2, axis=1)
+    return costs
 
 
 def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> tuple[Array, Array]:

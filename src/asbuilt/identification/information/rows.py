@@ -65,6 +65,22 @@ class SampleBlock:
             self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs
         )
 
+    def filtered(self, values: Callable[[slice], Array]) -> Array:
+        """Return filtered values (n, n_outputs) of what is given (m, n) on a span of samples.
+
+        As in `chunks`, they are zero where a joint moves slower than `samples.slowest`.
+        """
+        samples, parallel = self.samples, self.samples.parallel
+        step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+        span = slice(self.start + self.first * step, self.start + (self.last - 1) * step + width)
+        rows, speed = values(span).T, samples.qd[span].T
+        if parallel:
+            rows = parallel.apply(np.ascontiguousarray(rows))
+        if samples.slowest:
+            speed = np.abs(parallel.apply(np.ascontiguousarray(speed)) if parallel else speed)
+            rows = np.where(speed < np.array(samples.slowest)[:, None], 0.0, rows)
+        return rows
+
     def chunks(
         self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
     ) -> Iterator[tuple[Array, ...]]:

@@ -29,7 +29,6 @@ from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
     triangular_factor,
-    widened,
 )
 
 if TYPE_CHECKING:
@@ -181,11 +180,11 @@ class SquareRootInformation:
 
     def _stacked(self, factors: Sequence[Array], weights: ArrayLike | None) -> Array:
         w = np.ones(self.n_joints) if weights is None else np.asarray(weights, dtype=np.float64)
-        rows = [
-            widened(weight * factor, support, self.base.n_base)
-            for support, factor, weight in zip(self.support, factors, w, strict=True)
-        ]
-        return triangular_factor(np.vstack(rows))
+        p = self.base.n_base
+        growing = GrowingFactor(p + 1, sum(map(len, factors)))
+        for support, factor, weight in zip(self.support, factors, w, strict=True):
+            growing.append(weight * factor.T, np.append(support, p))
+        return growing.factor()
 
     def residual_energy(self, beta: ArrayLike) -> Array:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).

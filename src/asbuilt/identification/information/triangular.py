@@ -60,14 +60,20 @@ class GrowingFactor:
         self._rows = np.zeros((p, p + max(capacity, 1)))
         self._filled = p
 
-    def append(self, columns: Array) -> None:
-        """Add rows given as columns (p, m): samples innermost."""
-        start = 0
+    def append(self, columns: Array, support: Indices | None = None) -> None:
+        """Add rows given as columns (p, m): samples innermost.
+
+        With `support` they are these columns (s, m) only, the others zero.
+        """
+        start, places = 0, slice(None) if support is None else support
         while start < columns.shape[1]:
             if self._filled == self._rows.shape[1]:
                 self._reduce()
             taken = min(columns.shape[1] - start, self._rows.shape[1] - self._filled)
-            self._rows[:, self._filled : self._filled + taken] = columns[:, start : start + taken]
+            added = self._rows[:, self._filled : self._filled + taken]
+            if support is not None:
+                added[...] = 0.0
+            added[places] = columns[:, start : start + taken]
             self._filled += taken
             start += taken
 
