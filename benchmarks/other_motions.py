@@ -6,6 +6,9 @@ filtered like what was fitted; `auto, same samples` is `auto` on the samples of 
 lower cutoff takes error away from any model. Recordings that repeat the motion fitted are marked
 with `=`: they tell how well that motion is fitted, not how well another one is predicted. The mass
 is that of the exported robot in masses of CAD, with the ratio of the link furthest from CAD.
+
+How much worse `auto` is than `plain` and than CAD has a standard error, from the paired differences
+of time blocks of the recording predicted.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.errors import AsbuiltError
@@ -29,7 +33,7 @@ from asbuilt.identification.calibration.mounting import find_mounting
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
-from asbuilt.validation.prediction import validate_samples
+from asbuilt.validation.prediction import Validation, validate_samples
 from asbuilt.workflow.delays import settle_delays
 from asbuilt.workflow.prepare import digest
 from asbuilt.writers.tables.mass_table import exported_masses
@@ -40,6 +44,8 @@ PLAIN_CUTOFF = 5.0
 SAME = "auto, same samples"
 REPEATED = 0.5
 """Share of states near those fitted from which on a recording repeats the motion."""
+BLOCKS, SHORTEST = 20, 1.0
+"""Time blocks of a recording predicted, and the least length of one [s]."""
 
 
 class Robot(NamedTuple):
@@ -94,10 +100,28 @@ ROBOTS = {
 }
 
 
+class Excess(NamedTuple):
+    """Relative torque error over that of another model, less 1, with its standard error."""
+
+    value: float
+    error: float
+
+    @property
+    def sure(self) -> bool:
+        """Whether the error is larger beyond one standard error."""
+        return self.value > self.error
+
+    @property
+    def text(self) -> str:
+        """The excess in percent."""
+        return f"{100 * self.value:+.1f} +- {100 * self.error:.1f} %"
+
+
 class Row(NamedTuple):
     """Errors [%] on the other recordings, by method, of one set of recordings.
 
-    `repeated` are the shares of their states that the motion fitted came near to.
+    `repeated` are the shares of their states that the motion fitted came near to. `excess` is the
+    error of `auto` over that of `plain` on the same samples, and over that of CAD.
     """
 
     robot: str
@@ -107,12 +131,26 @@ class Row(NamedTuple):
     took: str
     seconds: float
     repeated: tuple[float, ...]
+    excess: dict[str, tuple[Excess, ...]]
 
-    @property
-    def excess(self) -> list[float]:
-        """Error of `auto` over that of `plain` on the same samples of other motions, less 1."""
-        pairs = zip(self.errors[SAME], self.errors["plain"], self.repeated, strict=True)
-        return [own / plain - 1.0 for own, plain, near in pairs if near < REPEATED]
+    def on_other_motions(self, over: str) -> list[Excess]:
+        """Return the excess over `plain` or CAD on recordings that do not repeat the motion."""
+        pairs = zip(self.excess[over], self.repeated, strict=True)
+        return [each for each, near in pairs if near < REPEATED]
+
+
+def excess_over(own: Array, other: Array, t: Array) -> Excess:
+    """Return the relative error of residuals `own` over that of `other`, both (N, n), less 1.
+
+    With the energies `a_b`, `p_b` of the time blocks and `r = sum a / sum p`, the variance of r is
+    that of `sum (a_b - r p_b) / sum p`.
+    """
+    seconds = max(SHORTEST, float(t[-1] - t[0]) / BLOCKS)
+    block = np.unique(np.floor((t - t[0]) / seconds + 1e-9), return_inverse=True)[1]
+    a, p = (np.bincount(block, np.sum(each**2, axis=1)) for each in (own, other))
+    r, n = float(a.sum() / p.sum()), len(a)
+    spread = float(np.sqrt(np.sum((a - r * p) ** 2) * n / max(n - 1, 1)) / p.sum())
+    return Excess(float(np.sqrt(r)) - 1.0, 0.5 * spread / float(np.sqrt(r)))
 
 
 def rows(
@@ -146,6 +184,7 @@ def _row(
     masses: dict[str, str] = {}
     took, seconds = "", 0.0
     repeated: tuple[float, ...] = ()
+    excess: dict[str, tuple[Excess, ...]] = {}
     best = None
     for cutoff, methods in ((None, METHODS), (PLAIN_CUTOFF, ("plain", "auto"))):
         chain = resolve_chain(SignalChain(cutoff=cutoff, delay=delay), *(logs[k] for k in train))
@@ -184,11 +223,24 @@ def _row(
             masses[label] = mass_text(result)
             if label == "auto":
                 errors["CAD"] = tuple(100 * each.metrics_cad.relative_error for each in found)
+                excess["CAD"] = tuple(
+                    excess_over(each.error, each.measured - each.predicted_cad, each.t)
+                    for each in found
+                )
             if label == "plain" and best is not None:
                 again = [validate_samples(best, each) for each in held]
                 errors[SAME] = tuple(100 * each.metrics_as_built.relative_error for each in again)
+                excess["plain"] = _paired(again, found)
     label = "+".join(logs[k].source.rpartition("/")[2] for k in train)
-    return Row(name, label + (", tilt" if tilt else ""), errors, masses, took, seconds, repeated)
+    told = label + (", tilt" if tilt else "")
+    return Row(name, told, errors, masses, took, seconds, repeated, excess)
+
+
+def _paired(own: list[Validation], other: list[Validation]) -> tuple[Excess, ...]:
+    return tuple(
+        excess_over(each.error, beside.error, each.t)
+        for each, beside in zip(own, other, strict=True)
+    )
 
 
 def mass_text(result: IdentificationResult) -> str:
@@ -215,9 +267,10 @@ def report(
     scratch = Path("out")
     scratch.mkdir(exist_ok=True)
     found: dict[tuple[str, str], list[float]] = {}
-    excess: dict[str, list[float]] = {}
+    excess: dict[tuple[str, str], list[Excess]] = {}
     for row in rows(data, scratch, names, delay):
-        excess.setdefault(row.robot, []).extend(row.excess)
+        for over in row.excess:
+            excess.setdefault((row.robot, over), []).extend(row.on_other_motions(over))
         print(f"{row.robot} from {row.train}: {row.took} ({row.seconds:.1f} s)")
         for method, errors in row.errors.items():
             found.setdefault((row.robot, method), []).extend(errors)
@@ -226,17 +279,23 @@ def report(
                 for error, near in zip(errors, row.repeated, strict=True)
             )
             print(f"    {method:<20}{listed}   mass {row.masses.get(method, '')}", flush=True)
+        for over, each in row.excess.items():
+            print(f"    auto over {over:<10}{', '.join(one.text for one in each)}", flush=True)
     numbers: dict[str, float | str] = {
         f"{robot}_{method}_percent": float(np.mean(errors))
         for (robot, method), errors in found.items()
     }
-    for robot, each in excess.items():
-        mean, error = float(np.mean(each)), float(np.std(each, ddof=1) / np.sqrt(len(each)))
+    for (robot, over), each in excess.items():
+        values = 100 * np.array([one.value for one in each])
+        mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+        worse = [one.text for one in each if one.sure]
         print(
-            f"{robot}: error of auto over that of plain on the same samples of {len(each)} other"
-            f" motions: {100 * mean:+.1f} +- {100 * error:.1f} % (worst {100 * max(each):+.1f} %)"
+            f"{robot}: error of auto over that of {over} on the same samples of {len(each)} other"
+            f" motions: {mean:+.1f} +- {error:.1f} % (worst {values.max():+.1f} %); larger beyond"
+            f" one standard error: {', '.join(worse) or 'nowhere'}"
         )
-        numbers[f"{robot}_auto_over_plain_percent"] = 100 * mean
+        numbers[f"{robot}_auto_over_{over}_percent"] = mean
+        numbers[f"{robot}_worse_than_{over}"] = float(len(worse))
     return numbers
 
 
