@@ -121,6 +121,7 @@ class LogErrorSearch:
             MOST,
             lambda column, value: self._is_plausible(columns.candidates[column], value),
             self._given,
+            lambda column: columns.candidates[column].kind in BOUNDS,
         )
 
     @property
