@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.identification.errors.block_scatter import student_probability, widening
@@ -21,8 +20,6 @@ RIDGE = 1e-9
 """Squared length added to columns of unit length, for those that one time alone excites."""
 PARTS = 5
 """Parts of the time that are left out in turn."""
-BY_CHANCE = 0.05
-"""Probability by which a column that has to be sure lowers the residual of times left out."""
 SMALLEST_SHARE = 0.02
 """Share of the squared residual below which a column is not distinguished from other effects."""
 
@@ -69,18 +66,15 @@ class BlockEquations:
     def selected(
         self,
         most: int,
-        admitted: Callable[[int, float], bool] = lambda column, value: True,
+        admitted: Callable[[Chosen], bool] = lambda chosen: True,
         given: Sequence[int] = (),
-        sure: Callable[[int], bool] = lambda column: False,
     ) -> tuple[Chosen, ...]:
         """Return at most so many columns, beside those `given`, in the order of choice.
 
         Each time, of the columns that are significant beside those chosen (from time blocks, CR2 of
-        Bell and McCaffrey, Survey Methodology 28, 2002), and whose value is `admitted`, the one is
+        Bell and McCaffrey, Survey Methodology 28, 2002), and which are `admitted`, the one is
         chosen that takes away most of the squared residual (forward selection: Efroymson 1960), if
-        it lowers that of times left out as well: by one standard error over these, or beyond chance
-        (Student's test) where it has to be `sure`. The scatter of time blocks does not tell effects
-        that a model lacks from the column that resembles them most.
+        it lowers that of times left out as well (by one standard error over these).
         """
         inside, found = self._places(given), dict[int, Chosen]()
         while len(found) < most:
@@ -90,8 +84,8 @@ class BlockEquations:
                     each
                     for each in trials
                     if each.share >= SMALLEST_SHARE
-                    and admitted(each.column, each.value)
-                    and self._predicts(inside, each.column, sure(each.column))
+                    and admitted(each)
+                    and self._predicts(inside, each.column)
                 ),
                 None,
             )
@@ -137,7 +131,7 @@ class BlockEquations:
         """Return the places of the fit's own columns and of candidates."""
         return [*range(self.n_own), *(self.n_own + column for column in columns)]
 
-    def _predicts(self, inside: Sequence[int], column: int, surely: bool) -> bool:
+    def _predicts(self, inside: Sequence[int], column: int) -> bool:
         """Return whether a column lowers the squared residual of times that are left out."""
         own, more = list(inside), [*inside, self.n_own + column]
         edges = np.linspace(0, len(self.squares), PARTS + 1).round().astype(int)
@@ -147,8 +141,7 @@ class BlockEquations:
             self._left_out(own, slice(a, b)) - self._left_out(more, slice(a, b))
             for a, b in pairwise(edges.tolist())
         ]
-        errors = float(stdtrit(PARTS - 1, 1.0 - BY_CHANCE)) if surely else 1.0
-        return bool(np.mean(relief) > errors * np.std(relief, ddof=1) / np.sqrt(PARTS))
+        return bool(np.mean(relief) > np.std(relief, ddof=1) / np.sqrt(PARTS))
 
     def _left_out(self, inside: Sequence[int], out: slice) -> float:
         """Return the squared residual of blocks by a fit to all others, less that without it."""

@@ -8,6 +8,9 @@ import numpy as np
 
 from asbuilt.validation.log_errors.error_columns import Kind
 
+NORMAL_95 = 1.959964
+"""Standard errors on either side of a 95 % interval."""
+
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
@@ -16,6 +19,18 @@ class Bounds:
     lowest: float
     highest: float
     matters: float
+
+    def hold(self, value: float, std_error: float) -> bool:
+        """Return whether the 95 % interval of a value is plausible.
+
+        One that reaches beyond is that of a column which resembles something else that the model
+        lacks.
+
+        >>> BOUNDS["zero"].hold(-0.1, 0.04), BOUNDS["zero"].hold(-0.3, 0.04)
+        (True, False)
+        """
+        reach = NORMAL_95 * std_error
+        return bool(self.lowest <= value - reach and value + reach <= self.highest)
 
 
 BOUNDS: dict[Kind, Bounds] = {

@@ -119,9 +119,8 @@ class LogErrorSearch:
         columns, equations = self._first
         return equations.selected(
             MOST,
-            lambda column, value: self._is_plausible(columns.candidates[column], value),
+            lambda each: self._is_plausible(columns.candidates[each.column], each),
             self._given,
-            lambda column: columns.candidates[column].kind in BOUNDS,
         )
 
     @property
@@ -148,7 +147,7 @@ class LogErrorSearch:
             Correction.nothing(len(self._largest)),
             [each.column for each in picked],
         )
-        return [each for each in found if self._is_plausible(self._candidate(each), each.value)]
+        return [each for each in found if self._is_plausible(self._candidate(each), each)]
 
     def _refined(
         self,
@@ -201,10 +200,10 @@ class LogErrorSearch:
             return BOUNDS["zero"] if revolute else PRISMATIC_ZERO
         return BOUNDS.get(candidate.kind)
 
-    def _is_plausible(self, candidate: Candidate, value: float) -> bool:
+    def _is_plausible(self, candidate: Candidate, found: Chosen | LogError) -> bool:
         """Return whether a robot in use can have this value; what a model lacks has no bounds."""
         bounds = self._bounds(candidate)
-        return bounds is None or bounds.lowest <= value <= bounds.highest
+        return bounds is None or bounds.hold(found.value, found.std_error)
 
     def _residual(self, change: Callable[[Samples], Samples]) -> float:
         """Return the squared residual of a fit to changed samples, weighted as the first fit."""
