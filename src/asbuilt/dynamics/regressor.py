@@ -204,9 +204,12 @@ class RegressorPlan:
         over_samples(work, n_samples, threads)
         for _, rows_of_drive, columns in self._drive_columns(*inputs):
             target[rows_of_drive, :n_samples] = columns
+        return self.joint_rows(target, n_samples)
+
+    def joint_rows(self, out: Array, n_samples: int) -> tuple[Array, ...]:
+        """Return the rows of each joint, the spare ones too, as views of the first samples."""
         return tuple(
-            target[first : stop + self.spare_rows, :n_samples]
-            for first, stop in self.bounds.tolist()
+            out[first : stop + self.spare_rows, :n_samples] for first, stop in self.bounds.tolist()
         )
 
     def stack(self, q: Array, qd: Array, qdd: Array, *, threads: int | None = 1) -> Array:

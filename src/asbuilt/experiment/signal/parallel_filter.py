@@ -10,7 +10,8 @@ from numpy.lib.stride_tricks import as_strided
 from scipy import optimize, signal
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import compiled_with_reordered_sums
+from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 
@@ -20,6 +21,9 @@ STOP_BAND_EDGE = 1.75
 """Lower edge of the stop band, in cutoffs."""
 TRANSITION = 1.2
 """Width of the transition band about the -6 dB point, which is near 1.12 cutoffs, in cutoffs."""
+
+EIGHT = 8
+"""Rows that are filtered together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,15 +147,25 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
 def filtered_rows(x: Array, taps: Array, decimation: int = 1, out: Array | None = None) -> Array:
     """Return `y[i, k] = sum_j taps[j] x[i, k decimation + j]` of x (m, L), where all j exist.
 
-    The numbers of a row are neighbours in memory. `out`, if given, is filled.
+    The numbers of a row are neighbours in memory, and finite: one that is not spreads to seven more
+    outputs than take it. `out`, if given, is filled.
     """
     rows, length = x.shape
+    count = max(0, (length - taps.size) // decimation + 1)
     if out is None:
-        out = np.empty((rows, max(0, (length - taps.size) // decimation + 1)))
-    stride = x.strides[0] // x.itemsize
-    memory = as_strided(x, ((rows - 1) * stride + length,), x.strides[1:])
-    _filter_rows(memory, stride, taps, decimation, out)
+        out = np.empty((rows, count))
+    if rows and count:
+        weights = np.zeros((taps.size + (LANES - 1) * decimation, LANES))
+        for lane in range(LANES):
+            weights[lane * decimation : lane * decimation + taps.size, lane] = taps
+        _filter_rows(*_memory_of(x), rows, weights.reshape(-1), decimation, *_memory_of(out), count)
     return out
+
+
+def _memory_of(x: Array) -> tuple[Array, int]:
+    """Return the memory of an array (m, L) as one row, and where the next of its rows begins."""
+    stride = x.strides[0] // x.itemsize
+    return as_strided(x, ((len(x) - 1) * stride + x.shape[1],), x.strides[1:]), stride
 
 
 def _has_rows_in_memory(x: Array) -> bool:
@@ -160,33 +174,102 @@ def _has_rows_in_memory(x: Array) -> bool:
     return x.size > 0 and step == x.itemsize and apart >= x.shape[1] * step
 
 
-@compiled_with_reordered_sums
-def _filter_rows(memory: Array, stride: int, taps: Array, decimation: int, out: Array) -> None:
-    """Fill out (m, K) with the filtered rows, which begin every `stride` numbers of `memory`.
+@compiled
+def _filter_rows(
+    memory: Array,
+    stride: int,
+    rows: int,
+    weights: Array,
+    decimation: int,
+    out: Array,
+    out_stride: int,
+    count: int,
+) -> None:
+    """Write filtered rows, which begin every `stride` numbers of `memory`, to rows of `out`.
 
-    Four outputs share the taps that are loaded, and windows are slices, whose indices need no
-    check for negative ones: with either, sums run in vector registers.
+    `weights` holds the taps of eight neighbouring outputs for each of the inputs that they span,
+    0 where an output does not take it: eight outputs of eight rows are summed at once, every one
+    over its inputs in order. The last outputs are summed with some before them again; fewer than
+    eight come from a copy with zeros behind.
     """
-    n, count = taps.size, out.shape[1]
-    whole = count - count % 4
-    for i in range(out.shape[0]):
-        row = memory[i * stride :]
-        for k in range(0, whole, 4):
-            at = k * decimation
-            w0 = row[at : at + n]
-            w1 = row[at + decimation : at + decimation + n]
-            w2 = row[at + 2 * decimation : at + 2 * decimation + n]
-            w3 = row[at + 3 * decimation : at + 3 * decimation + n]
-            y0 = y1 = y2 = y3 = 0.0
-            for j in range(n):
-                y0 += taps[j] * w0[j]
-                y1 += taps[j] * w1[j]
-                y2 += taps[j] * w2[j]
-                y3 += taps[j] * w3[j]
-            out[i, k], out[i, k + 1], out[i, k + 2], out[i, k + 3] = y0, y1, y2, y3
-        for k in range(whole, count):
-            window = row[k * decimation : k * decimation + n]
-            total = 0.0
-            for j in range(n):
-                total += taps[j] * window[j]
-            out[i, k] = total
+    span = weights.size // LANES
+    padded = np.zeros(EIGHT * span if count < LANES else 0)
+    found = np.empty(EIGHT * LANES)
+    for first in range(0, rows, EIGHT):
+        if count < LANES:
+            for r in range(min(EIGHT, rows - first)):
+                begin = (first + r) * stride
+                taken = span - (LANES - count) * decimation
+                for j in range(taken):
+                    padded[r * span + j] = memory[begin + j]
+            _eight_rows(padded, 0, span, EIGHT - 1, weights, span, found, 0, LANES)
+            for r in range(min(EIGHT, rows - first)):
+                for k in range(count):
+                    out[(first + r) * out_stride + k] = found[r * LANES + k]
+            continue
+        below = min(rows - 1 - first, EIGHT - 1)
+        for k in range(0, count, LANES):
+            at = min(k, count - LANES)
+            _eight_rows(
+                memory,
+                first * stride + at * decimation,
+                stride,
+                below,
+                weights,
+                span,
+                out,
+                first * out_stride + at,
+                out_stride,
+            )
+
+
+@compiled
+def _eight_rows(
+    memory: Array,
+    at: int,
+    stride: int,
+    below: int,
+    weights: Array,
+    span: int,
+    out: Array,
+    to: int,
+    out_stride: int,
+) -> None:
+    """Sum eight outputs of a row and of `below` < 8 rows after it; the last is repeated.
+
+    Rows are slices, whose indices need no check for negative ones.
+    """
+    r0 = memory[at : at + span]
+    b1 = at + min(1, below) * stride
+    r1 = memory[b1 : b1 + span]
+    b2 = at + min(2, below) * stride
+    r2 = memory[b2 : b2 + span]
+    b3 = at + min(3, below) * stride
+    r3 = memory[b3 : b3 + span]
+    b4 = at + min(4, below) * stride
+    r4 = memory[b4 : b4 + span]
+    b5 = at + min(5, below) * stride
+    r5 = memory[b5 : b5 + span]
+    b6 = at + min(6, below) * stride
+    r6 = memory[b6 : b6 + span]
+    b7 = at + min(7, below) * stride
+    r7 = memory[b7 : b7 + span]
+    y0 = y1 = y2 = y3 = y4 = y5 = y6 = y7 = splat(0.0)
+    for j in range(span):
+        w = load(weights, j * LANES)
+        y0 = y0 + r0[j] * w
+        y1 = y1 + r1[j] * w
+        y2 = y2 + r2[j] * w
+        y3 = y3 + r3[j] * w
+        y4 = y4 + r4[j] * w
+        y5 = y5 + r5[j] * w
+        y6 = y6 + r6[j] * w
+        y7 = y7 + r7[j] * w
+    store(out, to, y0)
+    store(out, to + min(1, below) * out_stride, y1)
+    store(out, to + min(2, below) * out_stride, y2)
+    store(out, to + min(3, below) * out_stride, y3)
+    store(out, to + min(4, below) * out_stride, y4)
+    store(out, to + min(5, below) * out_stride, y5)
+    store(out, to + min(6, below) * out_stride, y6)
+    store(out, to + min(7, below) * out_stride, y7)

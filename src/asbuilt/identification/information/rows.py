@@ -94,6 +94,7 @@ class SampleBlock:
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
         at_once = min(self.n_outputs, max(1, (SAMPLES_AT_ONCE - width) // step + 1))
         buffer = plan.buffer((at_once - 1) * step + width)
+        output = plan.buffer(at_once) if parallel else buffer
         for first in range(self.first, self.last, at_once):
             last = min(first + at_once, self.last)
             span = slice(self.start + first * step, self.start + (last - 1) * step + width)
@@ -102,7 +103,10 @@ class SampleBlock:
             for k, columns in enumerate(rows):
                 for place, values in enumerate(further, start=-len(further)):
                     columns[place] = values[:, k]
-            filtered = tuple(parallel.apply(columns) if parallel else columns for columns in rows)
+            filtered = rows
+            if parallel:
+                parallel.apply(buffer[:, : span.stop - span.start], out=output[:, : last - first])
+                filtered = plan.joint_rows(output, last - first)
             if samples.slowest:
                 speed = samples.qd[span].T
                 speed = np.abs(parallel.apply(np.ascontiguousarray(speed)) if parallel else speed)

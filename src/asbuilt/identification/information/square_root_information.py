@@ -365,11 +365,10 @@ def _reduced(plan: RegressorPlan, part: SampleBlock, beside: ColumnsBeside | Non
         for k, rows in enumerate(chunk):
             torque_sum[k] += rows[-1].sum()
             if m:
-                own = np.concatenate([rows[: -1 - m], rows[-1:]])
-                products[k][:] += np.concatenate([own, rows[-1 - m : -1]]) @ rows[-1 - m : -1].T
-                growing[k].append(own)
-            else:
-                growing[k].append(rows)
+                products[k][:] += rows @ rows[-1 - m : -1].T
+            growing[k].append(np.concatenate([rows[: -1 - m], rows[-1:]]) if m else rows)
+    for each in products if m else ():
+        each[:] = np.concatenate([each[: -1 - m], each[-1:], each[-1 - m : -1]])
     return _Reduced(
         tuple(factor.factor() for factor in growing), torque_sum, part.time, products if m else ()
     )

@@ -85,7 +85,8 @@ class GrowingFactor:
 
     def _reduce(self) -> None:
         if self._filled > self._p:
-            self._rows[:, self._filled :] = 0.0
-            lapack.dgeqrf(self._rows.T, overwrite_a=True)
-            self._rows[:, : self._p] = np.tril(self._rows[:, : self._p])
+            full = self._filled == self._rows.shape[1]
+            rows = self._rows.T if full else self._rows[:, : self._filled].T.copy(order="F")
+            lapack.dgeqrf(rows, overwrite_a=True)
+            self._rows[:, : self._p] = np.tril(rows[: self._p].T)
             self._filled = self._p
