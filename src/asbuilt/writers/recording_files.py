@@ -115,6 +115,8 @@ def _sheet_text(recording: Recording, log: str) -> str:
             sheet["torque_limit"] = _short(servo.torque_limit)
         if np.any(servo.deadband):
             sheet["deadband"] = _short(servo.deadband)
+        if np.any(servo.leads):
+            sheet["lead"] = _short(servo.lead)
         if np.all(np.isfinite(servo.no_load_speed)):
             sheet["no_load_speed"] = _short(servo.no_load_speed)
     return head + tomli_w.dumps(sheet)

@@ -30,6 +30,8 @@ def test_unknown_gains_and_missing_limits_are_allowed() -> None:
         {"torque_limit": (1.0,)},
         {"delay": np.nan},
         {"deadband": (-1.0, 0.0)},
+        {"lead": (-0.1, 0.0)},
+        {"lead": (np.inf, 0.0)},
         {"no_load_speed": (1.0, 1.0)},
         {"no_load_speed": (0.0, 1.0), "torque_limit": (1.0, 1.0)},
     ],

@@ -79,6 +79,21 @@ def test_rate_is_the_derivative_of_the_held_command():
     assert command_rate(recording)[5:-5] == pytest.approx(numeric[5:-5], abs=1e-6)
 
 
+def test_a_lead_adds_the_rate_of_what_acts():
+    t = np.arange(0.0, 4.0, 0.01)
+    u = np.sin(3.0 * t)[:, None]
+    servo = PositionServo(kp=(10.0,), kd=(0.0,), lead=(0.04,), delay=0.007)
+    recording = Recording(t=t, q=0.0 * u, tau=u, command=u, servo=servo)
+    at = t - 0.5 * 0.01 - servo.delay
+    expected = np.sinc(3.0 * 0.01 / (2.0 * np.pi)) * (np.sin(3.0 * at) + 0.12 * np.cos(3.0 * at))
+    inside = slice(20, -20)
+    held = held_command(recording, servo.delay)
+    assert held[inside, 0] == pytest.approx(expected[inside], abs=1e-6)
+    assert driven_by_command(recording, servo).tau == pytest.approx(10.0 * held)
+    numeric = (held_command(recording, 0.0069) - held_command(recording, 0.0071)) / 2e-4
+    assert command_rate(recording, 0.007)[inside] == pytest.approx(numeric[inside], abs=1e-4)
+
+
 def test_an_unknown_stiffness_counts_as_one_and_logged_torques_are_kept():
     t = np.arange(0.0, 1.0, 0.01)
     x = t[:, None]

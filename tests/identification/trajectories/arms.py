@@ -49,7 +49,7 @@ def recorded_by_mujoco(
 ) -> Recording:
     """Return a recording of MuJoCo's own position actuators, loaded from MJCF text.
 
-    Goals are moved by the deadband, and force ranges by the speed, before each step.
+    Goals are moved by the deadband and the lead, and force ranges by the speed, before each step.
     """
     actuators = "".join(
         f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kd}"'
@@ -76,7 +76,9 @@ def recorded_by_mujoco(
     for step in range(len(t) * every):
         if step % every == 0:
             q[step // every], qd[step // every] = data.qpos, data.qvel
-        data.ctrl[:] = data.qpos + servo.acting(u[max(step - late, 0) // every] - data.qpos)
+        goal, before = (u[max(step - late - back, 0) // every] for back in (0, 1))
+        goal = goal + servo.leads * (goal - before) / 1e-3
+        data.ctrl[:] = data.qpos + servo.acting(goal - data.qpos)
         if np.any(servo.falling):
             robot.actuator_forcerange[:] = np.stack(servo.bounds(data.qvel), axis=1)
         mujoco.mj_step(robot, data)

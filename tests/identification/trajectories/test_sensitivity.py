@@ -18,7 +18,9 @@ pytest.importorskip("mujoco")
 
 
 @pytest.mark.parametrize(
-    "law", [{}, {"deadband": (0.02, 0.01), "no_load_speed": (6.0, 9.0)}], ids=["pd", "beyond"]
+    "law",
+    [{}, {"deadband": (0.02, 0.01), "no_load_speed": (6.0, 9.0)}, {"lead": (0.01, 0.02)}],
+    ids=["pd", "beyond", "lead"],
 )
 def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
     model = servo_arm()

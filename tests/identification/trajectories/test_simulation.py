@@ -97,6 +97,16 @@ def test_rollout_has_the_deadband_and_the_limit_that_falls_with_speed() -> None:
     )
 
 
+def test_rollout_has_the_lead_of_a_derivative_of_the_control_error() -> None:
+    servo = replace(SERVO, torque_limit=(8.0, 3.0), lead=(0.03, 0.02))
+    recording = recorded_by_mujoco(servo_arm(), servo, duration=4.0)
+    windows = cut_windows(recording, samples_of(recording), 0.5)
+    robot = robot_as_described(servo_arm(), servo)
+    assert simulate_windows(robot, windows) == pytest.approx(windows.q, abs=2e-5)
+    plain = robot_as_described(servo_arm(), replace(servo, lead=(0.0, 0.0)))
+    assert np.abs(simulate_windows(plain, windows) - windows.q).max() > 5e-3
+
+
 def test_both_engines_agree_to_rounding_without_dry_friction(windows: Windows) -> None:
     robot = robot_as_described(servo_arm(), SERVO)
     robot = replace(robot, values=robot.values * [1.0, 1.0, 0.0])

@@ -16,7 +16,7 @@ from asbuilt.errors import UsageError
 
 LIMITS = ("torque_limit", "no_load_speed", "goal_acceleration", "goal_speed")
 """Fields that are infinite where there is no limit."""
-PER_JOINT = ("kp", "kd", "deadband", *LIMITS)
+PER_JOINT = ("kp", "kd", "deadband", "lead", *LIMITS)
 """Fields with one number per joint."""
 
 
@@ -30,7 +30,9 @@ class PositionServo:
     """Hold the gains of proportional-derivative position control, joint by joint.
 
     The torque on the link is `clip(kp D(goal(t - delay) - q) - kd qd, -limit, limit)`. The goal is
-    the command, or what `goal_path` makes of it if the servo limits the acceleration of its goal.
+    the command, or what `goal_path` makes of it if the servo limits the acceleration of its goal,
+    and `lead` times its rate: a servo whose derivative gain acts on the control error,
+    `kp e + kr de/dt - kv qd`, has the lead `kr / kp` and the damping `kd = kr + kv`.
     D(e) is `e - clip(e, -deadband, deadband)`. Under a limited voltage the limits fall with the
     speed, `-limit (1 + qd / no_load_speed)` and `limit (1 - qd / no_load_speed)`; a servo without
     damping of its own, whose duty cycle is `kp D(e) / limit`, has this law with
@@ -49,6 +51,8 @@ class PositionServo:
     deadband
         Control error up to which the servo gives no torque [rad or m], shape (n,); NaN where it is
         unknown whether there is one.
+    lead
+        Gain of the derivative of the control error over the stiffness [s], shape (n,).
     no_load_speed
         Speed at which the voltage that the motor induces leaves no torque [rad/s or m/s], shape
         (n,); infinite where the torque limit does not fall with the speed.
@@ -64,7 +68,7 @@ class PositionServo:
     UsageError
         If lengths differ, or a value is negative or, for the delay, not finite, or a limit of the
         goal or the no-load speed is zero, or the goal's speed is limited without an acceleration,
-        or there is a no-load speed without a torque limit.
+        or there is a no-load speed without a torque limit, or a lead is not finite.
 
     Examples
     --------
@@ -78,6 +82,7 @@ class PositionServo:
     torque_limit: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     delay: float | None = None
     deadband: tuple[float, ...] = ()
+    lead: tuple[float, ...] = ()
     no_load_speed: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     goal_acceleration: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     goal_speed: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
@@ -100,6 +105,8 @@ class PositionServo:
             if name == "no_load_speed" and 0.0 in values:
                 raise UsageError("no_load_speed must be positive", lower=0.0)
             object.__setattr__(self, name, values)
+        if not np.all(np.isfinite(self.lead)):
+            raise UsageError(f"a lead must be a finite number of seconds, got {self.lead}")
         if np.any(np.isfinite(self.goal_speed) & np.isinf(self.goal_acceleration)):
             raise UsageError("a limit of the speed of the goal needs one of its acceleration")
         if np.any(np.isfinite(self.no_load_speed) & np.isinf(self.torque_limit)):
@@ -128,6 +135,11 @@ class PositionServo:
     def proportional(self) -> bool:
         """Whether the torque is linear in control error and velocity up to a constant limit."""
         return not bool(np.any(self._dead) or np.any(np.isfinite(self.no_load_speed)))
+
+    @property
+    def leads(self) -> Array:
+        """Leads as an array (n,) [s]."""
+        return np.asarray(self.lead, dtype=np.float64)
 
     @property
     def _dead(self) -> Array:

@@ -20,7 +20,8 @@ def held_command(recording: Recording, delay: float = 0.0) -> Array:
 
     A command is held until the next. Below half the sampling rate that is a delay of half a period
     T and the response `sinc(f T)`; `delay` [s] comes in addition. If the recording has a servo that
-    limits its goal, the goal takes the place of the command.
+    limits its goal, the goal takes the place of the command. A servo with a lead adds the rate of
+    what acts, times the lead.
 
     Examples
     --------
@@ -30,12 +31,20 @@ def held_command(recording: Recording, delay: float = 0.0) -> Array:
     >>> round(float(t[50] - late[50, 0]), 6)
     0.025
     """
-    return _acting(recording, delay, 0)
+    return _led(recording, delay, 0)
 
 
 def command_rate(recording: Recording, delay: float = 0.0) -> Array:
     """Return the time derivative of `held_command`, shape (N, n)."""
-    return _acting(recording, delay, 1)
+    return _led(recording, delay, 1)
+
+
+def _led(recording: Recording, delay: float, derivative: int) -> Array:
+    """Return a derivative of the goal and of its rate times the lead, shape (N, n)."""
+    goal = _acting(recording, delay, derivative)
+    if recording.servo is None or not np.any(recording.servo.leads):
+        return goal
+    return goal + recording.servo.leads * _acting(recording, delay, derivative + 1)
 
 
 def _acting(recording: Recording, delay: float, derivative: int) -> Array:

@@ -128,8 +128,8 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
     return recording
 
 
-UNLIMITED = ("torque_limit", "no_load_speed", "goal_speed")
-"""Limits of a servo that are taken to be absent unless they are stated."""
+ABSENT = {"torque_limit": np.inf, "no_load_speed": np.inf, "goal_speed": np.inf, "lead": 0.0}
+"""What a servo is taken to lack unless it is stated, as the number that says so."""
 
 
 def _of_joints(recording: Recording, given: float | list[float], what: str) -> Array:
@@ -195,7 +195,7 @@ def stated_servo(
     if sheet.columns.torque is not None and not commanded:
         return None
     numbers: dict[str, Any] = {
-        name: _per_joint(recording, name, each, np.inf if name in UNLIMITED else np.nan)
+        name: _per_joint(recording, name, each, ABSENT.get(name, np.nan))
         for name, each in given.items()
     }
     return PositionServo(**numbers)

@@ -67,6 +67,9 @@ class ReadingOptions:
     deadband
         Control error up to which the position servo gives no torque [rad], one for all joints or
         one each; NaN: unknown, so that it is sought in the log.
+    lead
+        Gain of the derivative of the position servo's control error over its stiffness [s], one for
+        all joints or one each; NaN: it has none.
     no_load_speed
         Speed at which the torque limit of the position servo has fallen to zero [rad/s], one for
         all joints or one each; NaN: it does not fall.
@@ -171,6 +174,15 @@ class ReadingOptions:
             "help": "control error without torque [rad], one or each; auto (default): sought in the"
             " log",
             "metavar": "E1,E2,...",
+            "parse": servo_numbers,
+        },
+    )
+    lead: ArrayLike | None = field(
+        default=None,
+        metadata={
+            "help": "derivative gain on the servo's control error over its stiffness [s], one or"
+            " each",
+            "metavar": "S1,S2,...",
             "parse": servo_numbers,
         },
     )

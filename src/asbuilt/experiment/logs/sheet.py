@@ -169,6 +169,7 @@ class RecordingSheet(_Part):
     torque_limit: ServoNumbers = None
     no_load_speed: ServoNumbers = None
     deadband: ServoNumbers = None
+    lead: ServoNumbers = None
     goal_acceleration: GoalNumbers = None
     goal_speed: GoalNumbers = None
     columns: SheetColumns = SheetColumns()

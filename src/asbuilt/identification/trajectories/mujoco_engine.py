@@ -101,7 +101,7 @@ class _Engine:
         start = np.zeros((windows.n_windows, size))
         start[:, 1 + self.order] = windows.start_q
         start[:, 1 + n + self.order] = windows.start_qd
-        control = self._forces(windows.inputs(self.robot.delay))
+        control = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
         data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
         with rollout.Rollout(nthread=len(data)) as pool:
             states, _ = pool.rollout(
@@ -115,7 +115,7 @@ class _Engine:
 
     def in_step(self, windows: Windows) -> tuple[Array, Array]:
         """Return the same, all windows step by step, with the drive terms that MuJoCo lacks."""
-        forces = self._forces(windows.inputs(self.robot.delay))
+        forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
         n_controls = self.compiled.nu
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
         for run, q, qd in zip(runs, windows.start_q, windows.start_qd, strict=True):

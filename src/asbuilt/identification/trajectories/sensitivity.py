@@ -123,7 +123,7 @@ class Trajectories:
             *robot.stiffness,
             *robot.deviations,
             windows.signal.kind == "command",
-            np.ascontiguousarray(windows.inputs(robot.delay)),
+            np.ascontiguousarray(windows.inputs(robot.delay, robot.lead)),
             windows.step,
             q,
             v,
@@ -171,12 +171,10 @@ class Trajectories:
         kp, kd, _ = robot.stiffness
         dead, falling = robot.deviations
         servo = windows.signal.kind == "command"
-        inputs = windows.inputs(robot.delay).reshape(-1, n)
-        late = (
-            windows.signal.slopes(windows.starts, windows.n_steps, windows.step, robot.delay)
-            if servo
-            else np.zeros(shape)
-        ).reshape(-1, n)
+        inputs = windows.inputs(robot.delay, robot.lead).reshape(-1, n)
+        late = (windows.slopes(robot.delay, robot.lead) if servo else np.zeros(shape)).reshape(
+            -1, n
+        )
         free = (motion.state < 2.0).reshape(-1, n)
         error = inputs - q
         acting = error - np.clip(error, -dead, dead)

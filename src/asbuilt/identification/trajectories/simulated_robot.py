@@ -53,6 +53,11 @@ class SimulatedRobot:
         return np.nan_to_num(np.array(self.servo.deadband)), self.servo.falling
 
     @property
+    def lead(self) -> Array:
+        """Lead of the servo [s], shape (n,)."""
+        return np.zeros(self.model.n_joints) if self.servo is None else self.servo.leads
+
+    @property
     def delay(self) -> float:
         """Delay of the servo [s]."""
         return (self.servo.delay or 0.0) if self.servo is not None else 0.0

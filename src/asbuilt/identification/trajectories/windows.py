@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError, UsageError
@@ -94,9 +95,28 @@ class Windows:
             start_qd=self.start_qd[part],
         )
 
-    def inputs(self, delay: float = 0.0) -> Array:
-        """Return the mean of the delayed signal over each simulation step, (W, n_steps, n)."""
-        return self.signal.means(self.starts, self.n_steps, self.step, delay)
+    def inputs(self, delay: float = 0.0, lead: ArrayLike = 0.0) -> Array:
+        """Return the mean of the delayed signal over each simulation step, (W, n_steps, n).
+
+        A lead [s], one or (n,), adds the rate of the means times itself.
+        """
+        means = self.signal.means(self.starts, self.n_steps, self.step, delay)
+        return means + np.asarray(lead) * self.rates(delay) if np.any(lead) else means
+
+    def rates(self, delay: float) -> Array:
+        """Return the rate of the delayed signal from step to step, shape (W, n_steps, n)."""
+        here = (self.starts, self.n_steps, self.step)
+        before = self.signal.means(*here, delay + self.step)
+        return np.asarray((self.signal.means(*here, delay) - before) / self.step)
+
+    def slopes(self, delay: float, lead: ArrayLike = 0.0) -> Array:
+        """Return the derivative of `inputs` of a held signal by the delay, (W, n_steps, n)."""
+        here = (self.starts, self.n_steps, self.step)
+        slopes = self.signal.slopes(*here, delay)
+        if not np.any(lead):
+            return slopes
+        before = self.signal.slopes(*here, delay + self.step)
+        return np.asarray(slopes + np.asarray(lead) * (slopes - before) / self.step)
 
 
 def driving_signal(recording: Recording) -> DriveSignal:

@@ -33,6 +33,11 @@ def servo_left_out(
             f"{lacks} the deadband of the servo, {max(servo.deadband):.4g} rad or m: give each"
             " command as the position plus what of the control error is beyond it"
         )
+    if np.any(servo.leads):
+        notes.append(
+            f"{lacks} the lead of the servo, {1e3 * max(servo.leads):.3g} ms: give each command as"
+            " the position plus this times its rate"
+        )
     if not falling and np.any(servo.falling):
         notes.append(
             f"{lacks} torque limits that fall to zero at {min(servo.no_load_speed):.4g} rad/s or"

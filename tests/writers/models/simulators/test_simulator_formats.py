@@ -83,7 +83,11 @@ def test_what_a_servo_has_beyond_proportional_control_is_held_or_said(
 ) -> None:
     assert result.servo is not None
     servo = replace(
-        result.servo, torque_limit=(20.0,) * 2, deadband=(0.01,) * 2, no_load_speed=(5.0, 6.0)
+        result.servo,
+        torque_limit=(20.0,) * 2,
+        deadband=(0.01,) * 2,
+        lead=(0.02,) * 2,
+        no_load_speed=(5.0, 6.0),
     )
     richer = replace(result, servo=servo)
     places = {key: tmp_path / f"{key}.xml" for key in SIMULATOR_FORMATS}
@@ -97,6 +101,7 @@ def test_what_a_servo_has_beyond_proportional_control_is_held_or_said(
     for key in ("mjcf", *SIMULATOR_FORMATS):
         said = " ".join(export.notes[key])
         assert "deadband" in said
+        assert "lead" in said
         assert ("fall to zero" in said) == (key != "isaac-lab")
     assert "delay" in " ".join(export.notes["isaac-lab"])
 
