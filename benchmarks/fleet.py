@@ -120,11 +120,24 @@ def _least(work: Callable[[], object], times: int = 3) -> float:
 
 
 def _cpu() -> float:
-    """CPU seconds of this process and of those it has waited for."""
-    return sum(
+    """CPU seconds of this process, of those it has waited for, and of readers that still run."""
+    ended = sum(
         used.ru_utime + used.ru_stime
         for used in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     )
+    return ended + sum(map(_cpu_of, _children()))
+
+
+def _children() -> list[str]:
+    """Return the numbers of the processes that this one has started and that still run."""
+    lists = Path("/proc/self/task").glob("*/children")
+    return [number for each in lists for number in each.read_text().split()]
+
+
+def _cpu_of(process: str) -> float:
+    """CPU seconds of another process and of those it has waited for (proc(5))."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 def memory(folder: Path, minutes: float, rate: float) -> dict[str, float]:
