@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import html
+import io
 import json
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from asbuilt.cli.app import main
-from command_line import call, document
+from command_line import call, document, documented_fields
 
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "scara")
 
@@ -51,6 +56,23 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                 )
             logs[f"{robot} {kind}"] = log
     return logs
+
+
+@pytest.fixture(scope="module")
+def studied(
+    recorded: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], dict[str, Any]]:
+    """What `identify --json --out` prints of the training recording of a robot, done once."""
+
+    @cache
+    def study(robot: str) -> dict[str, Any]:
+        folder, printed = tmp_path_factory.mktemp("studied"), io.StringIO()
+        options = ["--holdout", "blocks:1s:3", "--out", str(folder), "--json"]
+        with redirect_stdout(printed), pytest.raises(SystemExit):
+            main(["identify", robot, str(recorded[f"{robot} train"]), *options])
+        return json.loads(printed.getvalue())
+
+    return study
 
 
 def test_help_and_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,17 +152,18 @@ def test_noise_free_recording_gives_back_the_description(
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_identify_writes_everything_and_validates(
-    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], robot: str, tmp_path: Path
+    capsys: pytest.CaptureFixture[str],
+    recorded: dict[str, Path],
+    studied: Callable[[str], dict[str, Any]],
+    robot: str,
 ) -> None:
-    log = recorded[f"{robot} train"]
-    found = document(
-        capsys, "identify", robot, log, "--holdout", "blocks:1s:3", "--out", tmp_path / "out"
-    )
+    log, found = recorded[f"{robot} train"], studied(robot)
+    assert set(found) in documented_fields()["identify"]
     for kind in ("result", "report", "parameters", "summary", "torque"):
         assert Path(found["files"][kind]).stat().st_size > 0
     assert not [
         path
-        for path in (tmp_path / "out").iterdir()
+        for path in Path(found["files"]["result"]).parent.iterdir()
         if path.name.startswith(".") or path.suffix == ".tmp"
     ]
     for metrics in (found["train"], *found["validation"], found["cad"]):
@@ -212,7 +235,7 @@ def test_every_output_says_how_errors_were_judged(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path, kind: str
 ) -> None:
     found = document(
-        capsys, "identify", "ur10e", recorded["ur10e train"], "--errors", kind, "--out", tmp_path
+        capsys, "identify", "scara", recorded["scara train"], "--errors", kind, "--out", tmp_path
     )
     assert (found["errors"]["kind"], found["errors"]["asked"]) == (kind, kind)
     stored = json.loads(Path(found["files"]["result"]).read_text())["errors"]
@@ -489,11 +512,12 @@ def test_simulate_on_the_engine_with_a_tool_and_let_go(
 
 
 def test_view_saves_pages_and_pictures_and_results_run_forward(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, recorded: dict[str, Path]
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    recorded: dict[str, Path],
+    studied: Callable[[str], dict[str, Any]],
 ) -> None:
-    log = recorded["ur10e train"]
-    document(capsys, "identify", "ur10e", log, "--holdout", "last:0.3", "--out", tmp_path / "study")
-    result = tmp_path / "study" / "result.json"
+    log, result = recorded["ur10e train"], studied("ur10e")["files"]["result"]
     freed = document(
         capsys,
         "simulate",
