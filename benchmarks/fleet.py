@@ -34,9 +34,10 @@ from asbuilt.identification.information.square_root_information import (
     accumulate,
     accumulate_stream,
 )
-from asbuilt.workflow.fleet.identification import FleetIdentification, fleet_identify
+from asbuilt.workflow.fleet.identification import fleet_identify
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-from asbuilt.workflow.fleet.reduction.add import FleetOptions, add_logs
+from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
+from asbuilt.workflow.fleet.reduction.add import add_logs
 from asbuilt.workflow.fleet.reduction.log_task import LogTask, reduce_log
 from asbuilt.workflow.prepare import prepare
 from factor import DRIVE, N_SAMPLES, ROBOT, recorded

@@ -35,12 +35,8 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.workflow.fleet.drift.columns import FleetColumns
 from asbuilt.workflow.fleet.drift.days import Day
-from asbuilt.workflow.fleet.drift.drift import (
-    FleetDrift,
-    FleetDriftOptions,
-    conclude_drift,
-    type_drift,
-)
+from asbuilt.workflow.fleet.drift.drift import FleetDrift, conclude_drift, type_drift
+from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 CHANGES = ("payload", "friction", "gain", "mounting")

@@ -63,14 +63,14 @@ from .workflow.calibration.torques import identify_channels as identify_channels
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .workflow.fleet.drift.drift import FleetDrift as FleetDrift
-from .workflow.fleet.drift.drift import FleetDriftOptions as FleetDriftOptions
 from .workflow.fleet.drift.drift import fleet_drift as fleet_drift
-from .workflow.fleet.identification import FleetIdentification as FleetIdentification
 from .workflow.fleet.identification import fleet_identify as fleet_identify
 from .workflow.fleet.ledger.ledger import Ledger as Ledger
 from .workflow.fleet.ledger.ledger import open_ledger as open_ledger
+from .workflow.fleet.options import FleetDriftOptions as FleetDriftOptions
+from .workflow.fleet.options import FleetIdentification as FleetIdentification
+from .workflow.fleet.options import FleetOptions as FleetOptions
 from .workflow.fleet.overview import fleet_overview as fleet_overview
-from .workflow.fleet.reduction.add import FleetOptions as FleetOptions
 from .workflow.fleet.reduction.add import add_logs as add_logs
 from .workflow.fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
 from .workflow.masses.link_masses import link_masses as link_masses

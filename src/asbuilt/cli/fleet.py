@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,9 +11,11 @@ from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, p
 from asbuilt.cli.arguments.options import AsJson, Filtering, Full, Logs, Out, Robot, Unchecked
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.workflow.fleet.identification import FleetIdentification
-from asbuilt.workflow.fleet.reduction.add import Addition, FleetOptions
+from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
 from asbuilt.workflow.options import StudyOptions
+
+if TYPE_CHECKING:
+    from asbuilt.workflow.fleet.reduction.add import Addition
 
 LedgerPlace = Annotated[
     str,
@@ -76,12 +78,13 @@ def add(
     Logs that are in the ledger are skipped, so an interrupted command is repeated as it was. A log
     that cannot be used is listed, the others are added, and the exit status is 1.
     """
+    if (id is None) == (id_from is None):
+        raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
+    asked = _asked(drive, unchecked, filtering)
     from asbuilt.workflow.fleet.reduction.add import add_logs
     from asbuilt.workflow.fleet.reduction.add import id_from as identity_from
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
-    if (id is None) == (id_from is None):
-        raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
     identity = id if id is not None else identity_from(str(id_from))
     with progress_bar() as report:
         done = add_logs(
@@ -90,7 +93,7 @@ def add(
             log,
             robot_id=identity,
             reading=reading,
-            options=_asked(drive, unchecked, filtering),
+            options=asked,
             fleet=fleet,
             date=None if date is None else parse_date(date),
             progress=report,
@@ -128,6 +131,7 @@ def rebuild(
     Robots and dates are known from the ledger. The old entries stay valid until all logs are done;
     logs that are not given are left out of the ledger from then on.
     """
+    asked = _asked(drive, unchecked, filtering)
     from asbuilt.workflow.fleet.reduction.rebuild import rebuild_ledger
 
     with progress_bar() as report:
@@ -135,7 +139,7 @@ def rebuild(
             ledger,
             log,
             reading=reading,
-            options=_asked(drive, unchecked, filtering),
+            options=asked,
             fleet=fleet,
             progress=report,
         )
@@ -155,10 +159,13 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
+    from asbuilt.workflow.fleet.ledger.ledger import open_ledger
+
+    opened = open_ledger(ledger)
     from asbuilt.workflow.fleet.overview import fleet_overview
     from asbuilt.writers.tables.fleet_tables import overview_text
 
-    seen = fleet_overview(ledger, thorough=thorough)
+    seen = fleet_overview(opened, thorough=thorough)
     answer(as_json, seen.as_document, lambda: overview_text(seen, finding_text, full=full))
 
 
@@ -178,6 +185,9 @@ def identify(
     The parameters are those of `asbuilt identify` on the same logs with the same method, chain and
     drive terms.
     """
+    from asbuilt.workflow.fleet.ledger.ledger import open_ledger
+
+    opened = open_ledger(ledger)
     from asbuilt.workflow.fleet.identification import fleet_identify
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
     from asbuilt.writers.reports.study_files import (
@@ -187,7 +197,7 @@ def identify(
     )
 
     first, last = (None if text is None else parse_date(text) for text in (since, until))
-    study = fleet_identify(ledger, id, since=first, until=last, options=options)
+    study = fleet_identify(opened, id, since=first, until=last, options=options)
     files, notes = write_study_without_samples(out, study) if out is not None else ({}, {})
     answer(
         as_json,

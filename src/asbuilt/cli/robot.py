@@ -275,9 +275,6 @@ def export(
 
     With --ensemble: many robots that the recordings allow, for domain randomization.
     """
-    from asbuilt.workflow.watching.threshold_files import read_thresholds
-    from asbuilt.writers.models.export import export_result
-
     bare = urdf == Path()
     if ensemble is not None:
         others = {"--mjcf": mjcf, "--toml": toml, "--c": c, "--original": original}
@@ -298,8 +295,12 @@ def export(
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
+    places, identified = _places(to or []), read_result(result)
+    from asbuilt.workflow.watching.threshold_files import read_thresholds
+    from asbuilt.writers.models.export import export_result
+
     exported = export_result(
-        read_result(result),
+        identified,
         urdf=urdf,
         mjcf=mjcf,
         toml=toml,
@@ -309,7 +310,7 @@ def export(
         original=original,
         nearest=nearest,
         force=force,
-        simulators=_places(to or []),
+        simulators=places,
     )
     answer(as_json, exported.as_document, exported.as_text)
 

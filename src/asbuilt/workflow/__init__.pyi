@@ -6,14 +6,14 @@ from .controller_model import compare_controller as compare_controller
 from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .fleet.drift.drift import FleetDrift as FleetDrift
-from .fleet.drift.drift import FleetDriftOptions as FleetDriftOptions
 from .fleet.drift.drift import fleet_drift as fleet_drift
-from .fleet.identification import FleetIdentification as FleetIdentification
 from .fleet.identification import fleet_identify as fleet_identify
 from .fleet.ledger.ledger import Ledger as Ledger
 from .fleet.ledger.ledger import open_ledger as open_ledger
+from .fleet.options import FleetDriftOptions as FleetDriftOptions
+from .fleet.options import FleetIdentification as FleetIdentification
+from .fleet.options import FleetOptions as FleetOptions
 from .fleet.overview import fleet_overview as fleet_overview
-from .fleet.reduction.add import FleetOptions as FleetOptions
 from .fleet.reduction.add import add_logs as add_logs
 from .fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
 from .information_efficiency import recorded_information as recorded_information

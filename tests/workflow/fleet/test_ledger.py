@@ -20,10 +20,11 @@ from asbuilt.errors import IdentifiabilityError, RecordingError, ResultError, Us
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.identification.identify import identify_samples
-from asbuilt.workflow.fleet.identification import FleetIdentification, fleet_identify
+from asbuilt.workflow.fleet.identification import fleet_identify
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
+from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
 from asbuilt.workflow.fleet.overview import fleet_overview
-from asbuilt.workflow.fleet.reduction.add import Addition, FleetOptions, add_logs, id_from
+from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
 from asbuilt.workflow.fleet.reduction.rebuild import rebuild_ledger
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify

@@ -14,9 +14,10 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.workflow.fleet.identification import FleetIdentification, fleet_identify
+from asbuilt.workflow.fleet.identification import fleet_identify
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-from asbuilt.workflow.fleet.reduction.add import FleetOptions, add_logs
+from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
+from asbuilt.workflow.fleet.reduction.add import add_logs
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from asbuilt.writers.recording_files import write_recording

@@ -14,8 +14,9 @@ import duckdb
 import pytest
 
 from asbuilt.workflow.fleet.identification import fleet_identify
+from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.overview import fleet_overview
-from asbuilt.workflow.fleet.reduction.add import FleetOptions, add_logs
+from asbuilt.workflow.fleet.reduction.add import add_logs
 from fleet_logs import MODEL, content_of, write_logs
 
 distributed = pytest.importorskip("distributed")

@@ -22,8 +22,9 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
 )
-from asbuilt.workflow.fleet.identification import FleetIdentification, fleet_identify
-from asbuilt.workflow.fleet.reduction.add import FleetOptions, add_logs
+from asbuilt.workflow.fleet.identification import fleet_identify
+from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
+from asbuilt.workflow.fleet.reduction.add import add_logs
 from asbuilt.workflow.fleet.siblings import (
     SIBLINGS,
     SiblingPrior,

@@ -58,15 +58,9 @@ def gains(
     usual; the gains printed replace them. In logs of commands the gain is the stiffness of the
     position servo, --kp.
     """
-    distinct_logs(log, loaded)
-    model = described_robot(robot, fixed_base=reading.fixed_base)
-    source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
-    measured = replace(reading, torque_source=source or "current")
-    model, (bare, under) = robot_and_recordings(model, measured, log, loaded)
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.workflow.calibration.torques import find_gains
-    from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 
+    distinct_logs(log, loaded)
     options = GainOptions(
         com=number_list("--com", com, 3) or None,
         frame=frame,
@@ -74,6 +68,13 @@ def gains(
         chain=filtering.chain(),
         checked=not unchecked,
     )
+    model = described_robot(robot, fixed_base=reading.fixed_base)
+    source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
+    measured = replace(reading, torque_source=source or "current")
+    model, (bare, under) = robot_and_recordings(model, measured, log, loaded)
+    from asbuilt.workflow.calibration.torques import find_gains
+    from asbuilt.writers.tables.drive_tables import gains_document, gains_text
+
     with progress_bar() as report:
         found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
     answer(as_json, lambda: gains_document(found), lambda: gains_text(found, full))

@@ -20,7 +20,8 @@ from asbuilt.tables import Column, Table, wrapped
 from asbuilt.validation.comparison.drift import Drift, compare_results
 from asbuilt.workflow.fleet.drift.drift import FleetDrift, fleet_drift
 from asbuilt.workflow.fleet.identification import fleet_identify
-from asbuilt.workflow.fleet.reduction.add import Addition, FleetOptions, add_logs, id_from
+from asbuilt.workflow.fleet.options import FleetOptions
+from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
 from asbuilt.writers.recording_files import write_recording
 from asbuilt.writers.tables.drift_tables import drift_verdict
 from asbuilt.writers.tables.fleet_tables import addition_document

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
 
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.result.as_built_parameters import mass_findings
 from asbuilt.identification.result.conclusion import conclude
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.workflow.fleet.ledger.entry import Entry, joined_entries
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.options import FleetIdentification
 from asbuilt.workflow.fleet.siblings import (
     SIBLINGS,
     SiblingPrior,
@@ -26,64 +25,11 @@ from asbuilt.workflow.fleet.siblings import (
     posterior_uncertainty,
     sibling_prior,
 )
-from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study
 
 MOST_BLOCKS = 96
 """Time blocks of all logs together; more are merged with their neighbours. Standard errors need
 some dozens, and take a millisecond each."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FleetIdentification:
-    """Configure `fleet_identify`.
-
-    Parameters
-    ----------
-    method
-        The estimator; one that needs no more than information.
-    undetermined
-        Directions that no motion excites stay at CAD and are named, or are refused.
-    prior
-        `"siblings"`: the other robots of the type in the ledger are the prior (`sibling_prior`),
-        unless the robot is unlike them; the estimator is then least squares with this prior.
-
-    Raises
-    ------
-    UsageError
-        If the estimator is unknown, or needs the samples.
-    """
-
-    method: str = field(
-        default="consistent",
-        metadata={
-            "metavar": "NAME",
-            "help": "estimator that needs no samples, such as consistent, entropic or wls",
-            "parse": lambda text: methods.find(text).name,
-        },
-    )
-    undetermined: Undetermined = field(
-        default="toward_prior", metadata=StudyOptions.__dataclass_fields__["undetermined"].metadata
-    )
-
-    prior: Literal["none", "siblings"] = field(
-        default="none",
-        metadata={
-            "metavar": "NAME",
-            "choices": ("none", "siblings"),
-            "help": "siblings: mean and spread of the other robots of its type, for short logs",
-        },
-    )
-
-    def __post_init__(self) -> None:
-        if methods.find(self.method).needs != "information":
-            known = [name for name in methods if methods[name].needs == "information"]
-            raise UsageError(
-                f"the estimator {self.method} needs samples, and a ledger has their information;"
-                f" those that need no samples are {', '.join(known)}",
-                value=self.method,
-                available=known,
-            )
 
 
 def fleet_identify(

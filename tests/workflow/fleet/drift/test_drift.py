@@ -17,10 +17,11 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.fleet.drift.days import by_day, day_of
-from asbuilt.workflow.fleet.drift.drift import FleetDrift, FleetDriftOptions, fleet_drift
+from asbuilt.workflow.fleet.drift.drift import FleetDrift, fleet_drift
 from asbuilt.workflow.fleet.ledger.entry import entry_from
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-from asbuilt.workflow.fleet.reduction.add import FleetOptions, add_logs, id_from
+from asbuilt.workflow.fleet.options import FleetDriftOptions, FleetOptions
+from asbuilt.workflow.fleet.reduction.add import add_logs, id_from
 from asbuilt.writers.recording_files import write_recording
 from asbuilt.writers.reports.fleet_report import fleet_html, write_fleet_report
 from command_line import call, document

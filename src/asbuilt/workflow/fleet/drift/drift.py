@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.findings import Finding, ranked
-from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
 from asbuilt.workflow.fleet.drift.columns import FleetColumns
@@ -23,41 +22,11 @@ from asbuilt.workflow.fleet.drift.directions import Directions, find_directions
 from asbuilt.workflow.fleet.drift.explanation import SourceChange, explain_change
 from asbuilt.workflow.fleet.drift.variation import History, Variation, estimate_variation
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 EXAMPLES = 40
 """Robots of a type from which its noise and directions are found."""
 FEWEST_DAYS = SCAN.before + SCAN.after
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FleetDriftOptions:
-    """Configure `fleet_drift`.
-
-    Parameters
-    ----------
-    false_discovery_rate
-        Share of the robots named that are expected not to have changed.
-
-    Raises
-    ------
-    UsageError
-        If it is not between 0 and 1.
-    """
-
-    false_discovery_rate: float = field(
-        default=FALSE_DISCOVERY_RATE,
-        metadata={
-            "metavar": "SHARE",
-            "help": "share of the robots named that may not have changed",
-        },
-    )
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.false_discovery_rate < 1.0:
-            raise UsageError(
-                f"a false discovery rate of {self.false_discovery_rate:g} is not between 0 and 1",
-                value=self.false_discovery_rate,
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

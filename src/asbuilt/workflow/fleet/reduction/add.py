@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -18,47 +18,12 @@ from asbuilt.experiment.logs.readers import grouped_files
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
+from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.reduction.first_settings import choose_settings
 from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask, check_type, reduce_log
 from asbuilt.workflow.fleet.suspicions import suspicions
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Progress
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FleetOptions:
-    """Say who reduces logs.
-
-    Parameters
-    ----------
-    workers
-        Number of processes; None: one for each core. 0 reduces in this process.
-    scheduler
-        Address of a Dask scheduler whose workers reduce the logs in their place.
-    """
-
-    workers: int | None = field(
-        default=None,
-        metadata={
-            "help": "processes that reduce logs (default: one for each core)",
-            "metavar": "N",
-        },
-    )
-    scheduler: str | None = field(
-        default=None,
-        metadata={
-            "help": "Dask scheduler whose workers reduce the logs, such as tcp://10.0.0.1:8786",
-            "metavar": "ADDRESS",
-            "parse": str,
-        },
-    )
-
-    def __post_init__(self) -> None:
-        if self.workers is not None and self.scheduler is not None:
-            raise UsageError(
-                "the workers of a scheduler are not counted here; give workers or a scheduler",
-                cure=Cure("start as many Dask workers as you want"),
-            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ from asbuilt.findings import Cure
 from asbuilt.workflow.fleet.ledger.entry import DIGITS, EntryName
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.reduction.add import (
     Addition,
-    FleetOptions,
     conclude_addition,
     recordings_of,
     run_tasks,
