@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
@@ -20,6 +21,7 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.errors.between_recordings import recording_variances
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
@@ -178,7 +180,10 @@ def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Sample
 
 
 def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
-    """Return a fit whose errors have those of the delay of a servo and of what was taken away."""
+    """Return a fit whose errors have those of the delay of a servo and of what was taken away.
+
+    They are at least those that the scatter between recordings shows.
+    """
     if found is None:
         return fit
     late = None
@@ -195,7 +200,22 @@ def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
         doubt = found.expected.doubt(fit.information, fit.estimate)
         late = late or DelayErrors(np.zeros_like(doubt), np.zeros(len(doubt)))
         late = replace(late, covariance=late.covariance + doubt)
+    beyond = _beyond_blocks(fit, late)
+    if beyond is not None:
+        late = late or DelayErrors(np.zeros_like(beyond), np.zeros(len(beyond)))
+        late = replace(late, covariance=late.covariance + beyond)
     return fit if late is None else replace(fit, delay=late)
+
+
+def _beyond_blocks(fit: Fit, late: DelayErrors | None) -> Array | None:
+    """Return by how much variances between recordings exceed those so far (p, p); None if not."""
+    if fit.uncertainty.basis.kind != "blocks":
+        return None
+    known = np.diag(fit.uncertainty.covariance)
+    if late is not None:
+        known = known + np.diag(late.covariance)
+    beyond = np.maximum(recording_variances(fit.information, fit.estimate) - known, 0.0)
+    return np.diag(beyond) if np.any(beyond) else None
 
 
 def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:

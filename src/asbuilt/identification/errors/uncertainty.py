@@ -67,28 +67,16 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         return Uncertainty(
             estimate.covariance, float(n_samples), basis_of(information, "textbook", asked="blocks")
         )
-    moves = np.empty((n_blocks, root.shape[1]))
-    leverages = np.empty((n_blocks, root.shape[1], root.shape[0]))
-    weight, trace = np.empty((n_blocks, root.shape[0])), 0.0
-    with one_blas_thread():
-        grams, scores = block_scores(information, estimate)
-        absorbed = np.empty_like(grams)
-        for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
-            leverage, axes = np.linalg.eigh(gram)
-            leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
-            score = axes.T @ score_b
-            moves[b] = axes @ (score / np.sqrt(1.0 - leverage))
-            turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
-            leverages[b] = axes @ (leverage[:, None] * turned)
-            weight[b] = leverage @ turned**2
-            absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
-            trace += float(leverage.sum())
-        freedom = _degrees_of_freedom(leverages, weight)
+    grams, scores = block_scores(information, estimate)
+    found = corrected_moves(grams, scores, root)
+    freedom = found.freedom
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
     typical = float(np.median(freedom[determined])) if determined.any() else 1.0
-    common = common_growth(information, estimate, moves, grams, absorbed, trace, typical)
-    parts = np.sqrt(common.factor) * moves @ root.T
+    common = common_growth(
+        information, estimate, found.moves, grams, found.absorbed, found.leverage, typical
+    )
+    parts = np.sqrt(common.factor) * found.moves @ root.T
     scatter = BlockScatter.of(parts, freedom, common.variance)
     variance = np.maximum(
         np.sum(parts**2, axis=0) * widening(scatter.degrees_of_freedom) ** 2, textbook
@@ -104,6 +92,43 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         replace(basis_of(information, "blocks"), growth=growth),
         scatter,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectedMoves:
+    """Hold the scores of clusters of rows, corrected for their leverage as CR2 does.
+
+    `moves` (B, rank) are `(1 - M_b)^(-1/2) g_b`, `absorbed` (B, rank, rank) `(1 - M_b)^(-1/2) M_b`,
+    `leverage` is the trace of all M_b, `freedom` (p,) the degrees of freedom of each variance.
+    """
+
+    moves: Array
+    absorbed: Array
+    leverage: float
+    freedom: Array
+
+
+def corrected_moves(grams: Array, scores: Array, root: Array) -> CorrectedMoves:
+    """Return the moves of clusters with information (B, rank, rank) and scores (B, rank).
+
+    `root` (p, rank) is the inverse root, by which moves become changes of parameters.
+    """
+    moves, absorbed, trace = np.empty_like(scores), np.empty_like(grams), 0.0
+    leverages = np.empty((len(grams), root.shape[1], root.shape[0]))
+    weight = np.empty((len(grams), root.shape[0]))
+    with one_blas_thread():
+        for b, (gram, score_b) in enumerate(zip(grams, scores, strict=True)):
+            leverage, axes = np.linalg.eigh(gram)
+            leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
+            score = axes.T @ score_b
+            moves[b] = axes @ (score / np.sqrt(1.0 - leverage))
+            turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
+            leverages[b] = axes @ (leverage[:, None] * turned)
+            weight[b] = leverage @ turned**2
+            absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
+            trace += float(leverage.sum())
+        freedom = _degrees_of_freedom(leverages, weight)
+    return CorrectedMoves(moves, absorbed, trace, freedom)
 
 
 def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
@@ -140,10 +165,11 @@ def block_scores(information: SquareRootInformation, estimate: Estimate) -> tupl
     root, residual = estimate.solution.inverse_root, np.append(-estimate.beta, 1.0)
     grams = np.empty((information.n_blocks, root.shape[1], root.shape[1]))
     scores = np.empty((information.n_blocks, root.shape[1]))
-    for b in range(information.n_blocks):
-        factor = information.block_stacked(b, estimate.weights)
-        whitened = factor[:, :-1] @ root
-        grams[b], scores[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
+    with one_blas_thread():
+        for b in range(information.n_blocks):
+            factor = information.block_stacked(b, estimate.weights)
+            whitened = factor[:, :-1] @ root
+            grams[b], scores[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
     return grams, scores
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.identification.servo.servo_rows import ServoRows
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
 from asbuilt.identification.servo.servo_scale import block_weights, clustered
 
 
@@ -63,6 +67,32 @@ def with_deadband(servo: PositionServo, width: float) -> PositionServo:
     """Return the servo with a deadband where it was unknown."""
     given = np.array(servo.deadband)
     return replace(servo, deadband=tuple(np.where(np.isnan(given), width, given).tolist()))
+
+
+def recorded_deadband(
+    model: RobotModel,
+    base: BaseParameters,
+    recordings: Sequence[Recording],
+    chain: SignalChain,
+    late: float,
+    holdout: str | None,
+) -> Deadband | None:
+    """Return the deadband that the recordings show; None if it is known, or they show none."""
+    servo = recordings[0].servo
+    unknown = np.isnan(np.array(() if servo is None else servo.deadband))
+    if not np.any(unknown):
+        return None
+    slow = [slow_channels(each, chain, late) for each in recordings]
+
+    def rows(width: float) -> ServoRows:
+        driven = [
+            replace(each, servo=with_deadband(each.servo, width))
+            for each in recordings
+            if each.servo is not None
+        ]
+        return servo_rows(model, base, driven, chain, late, holdout, slow)
+
+    return find_deadband(rows, unknown)
 
 
 def find_deadband(rows: Callable[[float], ServoRows], unknown: Mask) -> Deadband | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain as chain_of
 
@@ -72,6 +72,19 @@ def limited(servo: PositionServo, acceleration: float) -> PositionServo:
     given = np.array(servo.goal_acceleration)
     values = np.where(np.isnan(given), acceleration, given)
     return replace(servo, goal_acceleration=tuple(values.tolist()))
+
+
+def common_limit(goals: Sequence[GoalLimit | None]) -> tuple[float, float]:
+    """Return the weighted mean of limits and its standard error.
+
+    Infinite and 0 if a recording shows none.
+    """
+    found = [goal for goal in goals if goal is not None]
+    if not found or len(found) < len(goals):
+        return np.inf, 0.0
+    weight = np.array([1.0 / goal.std_error**2 for goal in found])
+    mean = float(np.average([goal.acceleration for goal in found], weights=weight))
+    return mean, float(np.sum(weight) ** -0.5)
 
 
 def find_goal_limit(

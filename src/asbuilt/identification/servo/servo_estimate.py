@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, logged_magnitude_laws
@@ -19,30 +18,18 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.information.rows import TimeBlock
-from asbuilt.identification.servo.deadband import Deadband, find_deadband, with_deadband
-from asbuilt.identification.servo.goal_limit import GoalLimit, find_goal_limit, limited
-from asbuilt.identification.servo.servo_delay import DelayFit, fit_delay
+from asbuilt.identification.servo.deadband import recorded_deadband, with_deadband
+from asbuilt.identification.servo.goal_limit import (
+    GoalLimit,
+    common_limit,
+    find_goal_limit,
+    limited,
+)
 from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.identification.servo.servo_replay import Replay, replay
 from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
-from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
+from asbuilt.identification.servo.settling import Settling
 
-
-@dataclass(frozen=True, slots=True)
-class ServoIterations:
-    """Say when the delay has settled: at most so many steps, each below `convergence` [s].
-
-    The recordings are replayed so many times, each with the servo that followed from the last.
-    """
-
-    most: int = 12
-    replays: int = 2
-    convergence: float = 2e-5
-    longest: float = 0.2
-
-
-ITERATIONS = ServoIterations()
 UNEXPLAINED = 3.0
 """Residual of a second, in those of the median second, from which it has another cause than those
 of the model: contact, or a limit of the servo. Residuals of friction stay below."""
@@ -77,17 +64,6 @@ class ServoEstimate:
         """The servo, its limit NaN where it was sought."""
         found = np.where(self.errors.goal_sought, np.nan, self.servo.goal_acceleration)
         return replace(self.servo, goal_acceleration=tuple(found.tolist()))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Settled:
-    """Hold a servo with the standard error of its delay, and the fit that it rests on."""
-
-    servo: PositionServo
-    error: float
-    rows: ServoRows
-    scale: ServoScale | None
-    found: DelayFit
 
 
 def estimate_servo(
@@ -126,10 +102,7 @@ def estimate_servo(
     if first is None:
         raise ValueError("the recordings have no servo")
     base, design = find_base_parameters(model, drive), cad_prior(model, drive)
-    links = design.parameters.copy()
-    links[10 * model.n_links :] = 0.0
     unknown = np.isnan(np.array(first.kp))
-    kd = np.nan_to_num(np.array(first.kd))
     stated, late = first, 0.0 if delay is None else delay
 
     def goal_of(recording: Recording) -> GoalLimit | None:
@@ -147,53 +120,33 @@ def estimate_servo(
         replace(each, servo=limited(first, np.inf if goal is None else goal.acceleration))
         for each, goal in zip(recordings, goals, strict=True)
     ]
-    dead = _deadband(model, base, recordings, chain, late, holdout)
+    dead = recorded_deadband(model, base, recordings, chain, late, holdout)
     stated = first = with_deadband(first, 0.0 if dead is None else dead.width)
     recordings = [
         replace(each, servo=with_deadband(each.servo, 0.0 if dead is None else dead.width))
         for each in recordings
         if each.servo is not None
     ]
-
-    def settled(late: float, replayed: Replay | None) -> _Settled:
-        """Return the gains and the delay that are found from a start."""
-        error = 0.0
-        for _ in range(ITERATIONS.most):
-            rows = servo_rows(model, base, recordings, chain, late, holdout)
-            kp, scale = _gains(rows, base, links, stated, unknown, shared)
-            found = fit_delay(rows, base, design, kp.tolist(), kd.tolist(), replayed)
-            if delay is not None:
-                break
-            late = float(np.clip(late + found.step, -ITERATIONS.longest, ITERATIONS.longest))
-            error = found.std_error
-            if abs(found.step) < max(ITERATIONS.convergence, 0.05 * error):
-                break
-        servo = replace(stated, kp=tuple(kp.tolist()), kd=tuple(kd.tolist()), delay=late)
-        return _Settled(servo, error, rows, scale, found)
-
-    at, replayed = settled(late, None), None
-    for last in (False,) * (ITERATIONS.replays - 1) + (True,):
-        replayed = replay(
-            model,
-            base,
-            recordings,
-            at.servo,
-            chain,
-            at.found.parameters,
-            holdout,
-            roughly=not last,
-        )
-        if replayed is None:
-            break
-        at = settled(at.servo.delay or 0.0, replayed)
+    at, replayed = Settling(
+        model=model,
+        base=base,
+        design=design,
+        recordings=recordings,
+        servo=stated,
+        chain=chain,
+        free_delay=delay is None,
+        shared=shared,
+        holdout=holdout,
+    ).settle(late)
     scale, found = at.scale, at.found
+    limit, limit_error = common_limit(goals)
     errors = np.zeros(model.n_joints) if scale is None else np.where(unknown, scale.std_errors, 0.0)
     return ServoEstimate(
-        limited(at.servo, _common(goals)),
+        limited(at.servo, limit),
         ServoErrors(
             kp=tuple(errors.tolist()),
             delay=at.error,
-            goal_acceleration=_common_error(goals),
+            goal_acceleration=limit_error,
             deadband=0.0 if dead is None else dead.std_error,
             goal_sought=tuple(bool(each) for each in np.isnan(np.array(first.goal_acceleration))),
             shared=scale is not None and scale.shared,
@@ -215,64 +168,3 @@ def estimate_servo(
         logged_magnitude_laws(recordings),
         None if replayed is None else replayed.scores,
     )
-
-
-def _deadband(
-    model: RobotModel,
-    base: BaseParameters,
-    recordings: Sequence[Recording],
-    chain: SignalChain,
-    late: float,
-    holdout: str | None,
-) -> Deadband | None:
-    """Return the deadband that the recordings show; None if it is known, or they show none."""
-    servo = recordings[0].servo
-    unknown = np.isnan(np.array(() if servo is None else servo.deadband))
-    if not np.any(unknown):
-        return None
-    slow = [slow_channels(each, chain, late) for each in recordings]
-
-    def rows(width: float) -> ServoRows:
-        driven = [
-            replace(each, servo=with_deadband(each.servo, width))
-            for each in recordings
-            if each.servo is not None
-        ]
-        return servo_rows(model, base, driven, chain, late, holdout, slow)
-
-    return find_deadband(rows, unknown)
-
-
-def _common(goals: Sequence[GoalLimit | None]) -> float:
-    """Return the weighted mean of the limits, infinite if a recording shows none."""
-    found = [goal for goal in goals if goal is not None]
-    if not found or len(found) < len(goals):
-        return np.inf
-    if len(found) == 1:
-        return found[0].acceleration
-    weight = np.array([1.0 / goal.std_error**2 for goal in found])
-    return float(np.average([goal.acceleration for goal in found], weights=weight))
-
-
-def _common_error(goals: Sequence[GoalLimit | None]) -> float:
-    """Return the standard error of the common limit, 0 if there is none."""
-    found = [goal for goal in goals if goal is not None]
-    if not found or len(found) < len(goals):
-        return 0.0
-    return float(np.sum([1.0 / goal.std_error**2 for goal in found]) ** -0.5)
-
-
-def _gains(
-    rows: ServoRows,
-    base: BaseParameters,
-    links: Array,
-    servo: PositionServo,
-    unknown: Mask,
-    shared: bool,
-) -> tuple[Array, ServoScale | None]:
-    """Return the stiffness of every joint, and how unknown ones were found."""
-    given = np.array(servo.kp)
-    if not np.any(unknown):
-        return given, None
-    scale = find_scale(rows, base, links, servo.kd, unknown, shared=shared)
-    return np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), given), scale
