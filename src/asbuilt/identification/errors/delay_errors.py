@@ -19,7 +19,8 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, MOST_LEVERAGE
+from asbuilt.identification.errors.leverage import TINY, block_variances
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.result.torque_prediction import model_torque
@@ -27,7 +28,6 @@ from asbuilt.identification.result.torque_prediction import model_torque
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-TINY = 1e-300
 ALONE = 1e-9
 """Squared part of a delay's column outside all others below which it is undetermined."""
 
@@ -110,23 +110,12 @@ class DelayColumns:
             inverse = np.linalg.inv(left[np.ix_(found, found)])
             increments[found] = inverse @ scores.sum(axis=0)[found]
             if not textbook and len(scores) >= FEWEST_BLOCKS:
-                swell[found] = _swell(inverse, grams[:, found][:, :, found], scores[:, found])
+                scatter, freedom = block_variances(
+                    inverse, grams[:, found][:, :, found], scores[:, found]
+                )
+                swell[found] = np.sqrt(np.maximum(scatter * widening(freedom) ** 2, 1.0))
             covariance[np.ix_(found, found)] = inverse * np.outer(swell[found], swell[found])
         return DelaySolution(increments, covariance, -self.root @ moved, swell, len(scores))
-
-
-def _swell(inverse: Array, grams: Array, scores: Array) -> Array:
-    """Return the standard errors (m,) from time blocks, in multiples of those of `inverse`."""
-    root = np.linalg.cholesky(inverse)
-    moves, shares = np.empty_like(scores), np.empty_like(scores)
-    for b, (gram, score) in enumerate(zip(grams, scores, strict=True)):
-        leverage, axes = np.linalg.eigh(root.T @ gram @ root)
-        leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
-        moves[b] = root @ (axes @ ((axes.T @ (root.T @ score)) / np.sqrt(1.0 - leverage)))
-        shares[b] = np.diag(inverse @ gram @ inverse) / np.diag(inverse)
-    freedom = 1.0 / np.maximum(np.sum(shares**2, axis=0), TINY) - 1.0
-    scatter = np.sum(moves**2, axis=0) * widening(freedom) ** 2 / np.diag(inverse)
-    return np.asarray(np.sqrt(np.maximum(scatter, 1.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

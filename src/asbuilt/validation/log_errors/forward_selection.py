@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.identification.errors.block_scatter import student_probability, widening
-from asbuilt.identification.errors.uncertainty import MOST_LEVERAGE
+from asbuilt.identification.errors.leverage import block_variances
 
 LEVEL = 0.05
 """Probability that chance adds a column, over all candidates (Bonferroni)."""
@@ -178,14 +178,16 @@ class BlockEquations:
             value = score / gram
             blocks = self.grams[:, c, c] - 2.0 * across @ moved + (own @ moved) @ moved
             scores = self.scores[:, c] - across @ x - left @ moved - blocks * value
-            leverage = np.clip(blocks / gram, 0.0, MOST_LEVERAGE)
-            variance = max(float(np.sum(scores**2 / (1.0 - leverage))), gram) / gram**2
-            freedom = max(1.0 / float(np.sum(leverage**2)) - 1.0, 1.0)
-            error = float(np.sqrt(variance))
-            error *= float(widening(np.array([freedom]))[0])
-            p = float(student_probability(np.array([value / error]), np.array([freedom]))[0])
+            scatter, freedom = block_variances(
+                np.array([[1.0 / gram]]), blocks[:, None, None], scores[:, None]
+            )
+            errors = np.sqrt(np.maximum(scatter, 1.0) / gram) * widening(freedom)
+            p, error = float(student_probability(value / errors, freedom)[0]), float(errors[0])
             if p * self.n_candidates <= level or level >= 1.0:
                 scale = float(self.scale[c])
                 yield Chosen(
-                    c - self.n_own, value / scale, error / scale, score**2 / gram / residual
+                    c - self.n_own,
+                    value / scale,
+                    error / scale,
+                    score**2 / gram / residual,
                 )
