@@ -14,6 +14,7 @@ from asbuilt.description.model import PLAIN_TERMS, RobotModel
 from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
@@ -109,6 +110,12 @@ class CauseData:
         )
 
 
+def usual_terms() -> tuple[DriveTerm, ...]:
+    """Return the plain and some richer drive terms, at every joint."""
+    known = available_terms()
+    return tuple(known[key] for key in (*PLAIN_TERMS, *RICHER_TERMS) if key in known)
+
+
 def gather_cause_data(
     model: RobotModel,
     base: BaseParameters,
@@ -136,12 +143,9 @@ def gather_cause_data(
         If no samples are left to fit, or none to hold out.
     """
     drive = base.drive
-    known = available_terms()
-    for key in (*PLAIN_TERMS, *RICHER_TERMS):
-        if key in known and (
-            key not in drive.keys or key in PLAIN_TERMS
-        ):  # at every joint, though the result has it at some
-            drive = drive.with_term(known[key])
+    for term in usual_terms():
+        if term.key not in drive.keys or term.key in PLAIN_TERMS:
+            drive = drive.with_term(term)  # at every joint, though the result has it at some
     links = 10 * model.n_links
     columns = np.concatenate(
         [

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import PLAIN_TERMS, RobotModel
+from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.terms.spring import Spring
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.dynamics.newton_euler import gravity_torque
-from asbuilt.identification.information.cause_data import RICHER_TERMS
+from asbuilt.identification.information.cause_data import usual_terms
 from asbuilt.identification.result.torque_prediction import all_parameters, parameter_torque
 
 if TYPE_CHECKING:
@@ -139,10 +139,9 @@ def largest_torques(training: Iterable[Samples]) -> Array:
 
 
 def _lacking(drive: DriveSet) -> DriveSet:
-    """Return the usual further drive terms and the spring, without those of `drive`."""
-    known = available_terms()
-    keys = [key for key in (*PLAIN_TERMS, *RICHER_TERMS, Spring.key) if key in known]
-    return DriveSet(tuple(known[key] for key in keys if key not in drive.keys))
+    """Return the usual drive terms and the spring, without those of `drive`."""
+    terms = (*usual_terms(), available_terms()[Spring.key])
+    return DriveSet(tuple(term for term in terms if term.key not in drive.keys))
 
 
 def _at(k: int, values: Array, shape: tuple[int, ...]) -> Array:

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices
 from asbuilt.experiment.quality.first_pass import position_limits
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
 from asbuilt.findings import Cure, Finding, joined
@@ -22,8 +22,6 @@ QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
 class ConventionThresholds:
     """Decide from correlations of measured with rigid-body torques, and the misfit's logarithm."""
 
-    share: float = 0.02
-    """Predicted torque, relative to the largest, below which a joint decides nothing."""
     doubtful: float = 0.75
     """Correlation of each joint from which conventions are not doubted."""
     clear: float = 0.9
@@ -150,20 +148,14 @@ def _joints_beyond(fit: TorqueFit) -> int:
     return int(np.count_nonzero(np.min(shares, axis=0) > THRESHOLDS.beyond))
 
 
-def _large(fit: TorqueFit) -> Mask:
-    predicted = fit.predicted
-    large: Mask = predicted > THRESHOLDS.share * np.max(predicted)
-    return large
-
-
 def _doubtful(fit: TorqueFit) -> bool:
-    return bool(np.any(np.abs(fit.correlation[_large(fit)]) < THRESHOLDS.doubtful))
+    return bool(np.any(np.abs(fit.correlation[fit.decides]) < THRESHOLDS.doubtful))
 
 
 def _fallen(before: TorqueFit, after: TorqueFit) -> Indices:
     """Return the joints (k,) whose misfit has fallen to less than half."""
     least = [np.minimum(each.misfit(1), each.misfit(-1)) for each in (before, after)]
-    return np.flatnonzero(_large(after) & (least[1] < 0.5 * least[0]))
+    return np.flatnonzero(after.decides & (least[1] < 0.5 * least[0]))
 
 
 def _mean_correlation(fit: TorqueFit, joints: Indices) -> float:

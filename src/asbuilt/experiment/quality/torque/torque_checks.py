@@ -33,8 +33,6 @@ class TorqueThresholds:
     """Correlation of the largest torque from which noise explains that no joint is clear."""
     similar: tuple[float, float] = (0.8, 1.25)
     """Gain of the largest torque for which noise explains that no joint is clear."""
-    share: float = 0.02
-    """Predicted torque, relative to the largest, below which a joint decides nothing."""
     plausible: tuple[float, float] = (0.3, 3.0)
     """Gain that masses unlike CAD explain; beyond, the unit of the torque differs."""
     odd: tuple[float, float] = (0.2, 5.0)
@@ -144,8 +142,7 @@ def _sign_and_scale(
 ) -> Iterator[Finding]:
     names = model.joint_names
     correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
-    large = predicted > THRESHOLDS.share * np.max(predicted)
-    clear = [int(k) for k in np.flatnonzero(large & (np.abs(correlation) > THRESHOLDS.clear))]
+    clear = [int(k) for k in np.flatnonzero(fit.decides & (np.abs(correlation) > THRESHOLDS.clear))]
     if not clear:
         yield from _no_correlation(model, correlation, gain, predicted)
         return
@@ -161,7 +158,7 @@ def _sign_and_scale(
     usual = (odd_low < relative) & (relative < odd_high)
     alone = [
         k
-        for k in np.flatnonzero(large & usual).tolist()
+        for k in np.flatnonzero(fit.decides & usual).tolist()
         if sign * correlation[k] < -(THRESHOLDS.clear if k in clear else THRESHOLDS.certain)
     ]
     if flipped:

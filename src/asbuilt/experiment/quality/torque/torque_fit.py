@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -17,6 +17,8 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.torque.column_order import decisive_change, swaps
 
+DECISIVE = 0.02
+"""Predicted torque, relative to the largest, below which a joint decides nothing."""
 BREAKAWAY = 0.02
 """Width of the smoothed sign of velocity [rad/s or m/s]."""
 
@@ -95,6 +97,13 @@ class TorqueFit:
         """Standard deviation of the predicted torque of each joint [N m], shape (n,)."""
         deviation: Array = np.std(self._residuals[0], axis=0)
         return deviation
+
+    @property
+    def decides(self) -> Mask:
+        """Which joints have enough predicted torque to decide anything, shape (n,)."""
+        predicted = self.predicted
+        enough: Mask = predicted > DECISIVE * np.max(predicted)
+        return enough
 
     @property
     def gravity(self) -> Array:
