@@ -21,6 +21,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import stdtr
 
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
@@ -296,6 +297,16 @@ def report(
         )
         numbers[f"{robot}_auto_over_{over}_percent"] = mean
         numbers[f"{robot}_worse_than_{over}"] = float(len(worse))
+    for over in ("plain", "CAD"):
+        together = [one for (_, which), each in excess.items() if which == over for one in each]
+        surest = max(one.value / one.error for one in together)
+        p = min(1.0, float(stdtr(BLOCKS - 1, -surest)) * len(together))
+        print(
+            f"auto over {over}: larger beyond one standard error in {sum(e.sure for e in together)}"
+            f" of {len(together)} (by chance in 16 %), by {surest:.1f} of them at most (p = {p:.2g}"
+            " for as many comparisons)"
+        )
+        numbers[f"worse_than_{over}_p"] = p
     return numbers
 
 

@@ -121,3 +121,14 @@ def test_intervals_hold_what_blocks_of_like_motion_share() -> None:
         errors = block_uncertainty(information, estimate).std_errors
         held.append(np.abs(estimate.beta - BETA) < 1.96 * errors)
     assert 0.85 < float(np.mean(held)) < 0.97, "0.74 if only successive blocks and repeats count"
+
+
+def test_what_repetitions_share_is_told_from_noise() -> None:
+    lacking, rng = np.sign(np.sin(3.0 * QD)) + np.cos(5.0 * Q), np.random.default_rng(0)
+    shared = []
+    for errors in ([lacking] * 2, [rng.normal(size=Q.shape) for _ in range(2)]):
+        information = merged(errors)
+        estimate = fit_least_squares(information, weights=np.ones(MODEL.n_joints))
+        shared.append(block_uncertainty(information, estimate).shared)
+    assert 1.5 < shared[0] < 3.0
+    assert 1.0 <= shared[1] < 1.1

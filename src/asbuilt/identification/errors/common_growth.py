@@ -24,10 +24,14 @@ LEAST_LEFT = 0.05
 
 @dataclass(frozen=True, slots=True)
 class CommonGrowth:
-    """Hold a factor on all variances and the relative variance of that factor."""
+    """Hold a factor on all variances and the relative variance of that factor.
+
+    `of_noise` is the factor without what blocks of like motion share.
+    """
 
     factor: float
     variance: float
+    of_noise: float = 1.0
 
 
 def common_growth(
@@ -77,14 +81,18 @@ def common_growth(
     parts = [pairs.sum(each) for each in (after, again, alike)]
     spread = sum(each.spread for each in parts) / rank
     lasting, *shared = parts
-    along = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
-    along += sum(each.beyond_chance(rank) for each in shared)
+    of_noise = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
+    along = of_noise + sum(each.beyond_chance(rank) for each in shared)
     share = leverage / max(information.n_samples * information.n_joints, 1)
-    seen = along * float(np.sum(moves**2)) / (moves.shape[1] * variance)
-    grown, steep = _absorbed(share, seen)
+    seen = float(np.sum(moves**2)) / (moves.shape[1] * variance)
+    grown, steep = _absorbed(share, along * seen)
     spread /= along**2
     of_moves = 2.0 / (rank * freedom)
-    return CommonGrowth(along * grown, steep**2 * spread + (steep**2 - 1.0) * of_moves)
+    return CommonGrowth(
+        along * grown,
+        steep**2 * spread + (steep**2 - 1.0) * of_moves,
+        of_noise * _absorbed(share, of_noise * seen)[0],
+    )
 
 
 def effective_rank(moves: Array) -> float:

@@ -24,12 +24,14 @@ class Uncertainty:
     """Hold the covariance (p, p), the effective number of samples and how both were estimated.
 
     `scatter` is that of the time blocks, by which parameters are tested; None without blocks.
+    `shared` is the factor on variances by what blocks of like motion share.
     """
 
     covariance: Array
     effective_samples: float
     basis: ErrorBasis
     scatter: BlockScatter | None = None
+    shared: float = 1.0
 
     @property
     def n_blocks(self) -> int:
@@ -90,6 +92,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         n_samples * shrinkage,
         replace(basis_of(information, "blocks"), growth=growth),
         scatter,
+        common.factor / common.of_noise,
     )
 
 

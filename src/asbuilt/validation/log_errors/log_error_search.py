@@ -92,7 +92,10 @@ class LogErrorSearch:
         return bounds is not None and abs(error.value) >= bounds.matters * size
 
     def pace(self) -> LogError | None:
-        """Return the error of a clock that is off by about one of some factors, if one is."""
+        """Return the error of a clock that is off by about one of some factors, if one is.
+
+        None where clocks so far off would not show in the log.
+        """
         whole = self._first[1].residual
         own = Candidate("clock", None)
         nothing = Correction.nothing(len(self._largest))
@@ -103,7 +106,7 @@ class LogErrorSearch:
         if left[best] > (1.0 - NAMED) * whole:
             return None
         (error,) = self._refined([(own, 0.0)], replace(nothing, clock=best)) or (None,)
-        if error is None:
+        if error is None or abs(error.value) < self.clock_unseen:
             return None
         after = self._residual(replace(nothing, clock=1.0 + error.value).of)
         return replace(error, share=1.0 - after / whole)
