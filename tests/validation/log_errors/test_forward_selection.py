@@ -65,3 +65,16 @@ def test_an_effect_of_one_stretch_alone_does_not_predict_the_others() -> None:
     X, V, y = rows(0.0)
     y[:N] += 2.0 * V[:N, 2]
     assert equations(X, V, y).selected(4) == ()
+
+
+def test_a_column_too_near_the_fit_to_be_chosen_still_has_its_share() -> None:
+    X, V, y = rows(0.0)
+    V[:, 2] = X[:, 1] + 0.02 * V[:, 3]
+    y += 10.0 * V[:, 2]
+    seen = equations(X, V, y)
+    left = [
+        float(np.sum((y - Z @ np.linalg.lstsq(Z, y, rcond=None)[0]) ** 2))
+        for Z in (X, np.hstack([X, V[:, 2:3]]), np.hstack([X, V[:, 3:4]]))
+    ]
+    assert [each.column for each in seen.selected(1)] == [3]
+    assert seen.shares_alone()[[2, 3]] == pytest.approx(1.0 - np.array(left[1:]) / left[0])

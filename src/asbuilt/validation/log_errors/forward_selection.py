@@ -16,6 +16,8 @@ LEVEL = 0.05
 """Probability that chance adds a column, over all candidates (Bonferroni)."""
 SEPARATE = 1e-3
 """Squared part of a column outside all others below which it is not distinguished from them."""
+WITHIN = 1e-5
+"""The same below which nothing can be said of a column."""
 RIDGE = 1e-9
 """Squared length added to columns of unit length, for those that one time alone excites."""
 PARTS = 5
@@ -121,6 +123,20 @@ class BlockEquations:
             if gram < SEPARATE
             else float(np.sqrt(share * self.residual / gram) / self.scale[c])
         )
+
+    def shares_alone(self, given: Sequence[int] = ()) -> Array:
+        """Return the share of the squared residual that each candidate alone takes away, (m,).
+
+        Beside those `given`; 0 for columns within those of the fit. Columns that are not separate
+        count too: their values are uncertain, but they may be what is the matter.
+        """
+        inside, G, s = self._places(given), self.grams.sum(axis=0), self.scores.sum(axis=0)
+        known = np.linalg.pinv(G[np.ix_(inside, inside)], hermitian=True)
+        across = G[:, inside]
+        gram = (np.diag(G) - np.einsum("ij,jk,ik->i", across, known, across))[self.n_own :]
+        score = (s - across @ (known @ s[inside]))[self.n_own :]
+        out = np.zeros(len(gram))
+        return np.asarray(np.divide(score**2, gram, out=out, where=gram > WITHIN) / self.residual)
 
     @property
     def residual(self) -> float:

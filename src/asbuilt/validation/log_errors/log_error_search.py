@@ -19,7 +19,7 @@ from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.generalisation.effect_evidence import plain_fit
-from asbuilt.validation.log_errors.correction import Correction
+from asbuilt.validation.log_errors.correction import PER_JOINT, Correction
 from asbuilt.validation.log_errors.error_columns import (
     Candidate,
     ErrorColumns,
@@ -42,6 +42,8 @@ MOST = 6
 """Columns chosen, of the log and of the model together."""
 ROUNDS, SETTLED = 12, 1e-3
 """Gauss-Newton steps, and the step at which they have settled."""
+AS_MUCH = 0.5
+"""Share of the residual, over that of the error chosen, by which another one may be meant."""
 CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
 """Factors about which a clock is looked for that is off by more than what is first order."""
 
@@ -50,7 +52,8 @@ CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
 class LogError:
     """Hold an error of a log: value and standard error as `Candidate` says, and its share.
 
-    `share` is what it takes away from the squared torque residual.
+    `share` is what it takes away from the squared torque residual. `instead` are other joints whose
+    error of this kind would explain about as much.
     """
 
     kind: Kind
@@ -58,6 +61,7 @@ class LogError:
     value: float
     std_error: float
     share: float
+    instead: tuple[str, ...] = ()
 
 
 class LogErrorSearch:
@@ -150,7 +154,24 @@ class LogErrorSearch:
             Correction.nothing(len(self._largest)),
             [each.column for each in picked],
         )
-        return [each for each in found if self._is_plausible(self._candidate(each), each)]
+        return [
+            replace(each, instead=self._instead(self._candidate(each)))
+            for each in found
+            if self._is_plausible(self._candidate(each), each)
+        ]
+
+    def _instead(self, own: Candidate) -> tuple[str, ...]:
+        """Return the other joints whose error of this kind would explain about as much."""
+        if own.kind not in PER_JOINT:
+            return ()
+        columns, equations = self._first
+        shares = equations.shares_alone(self._given)
+        least = AS_MUCH * shares[columns.candidates.index(own)]
+        return tuple(
+            self.model.joint_names[each.joint]
+            for each, share in zip(columns.candidates, shares, strict=True)
+            if each.joint is not None and each.kind == own.kind and each != own and share >= least
+        )
 
     def _refined(
         self,

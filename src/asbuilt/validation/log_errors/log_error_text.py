@@ -107,6 +107,10 @@ def _findings(
             continue
         said = _SAID[each.kind](result, each)
         explained = f"; that explains {100 * each.share:.0f} % of the squared residual"
+        if each.instead:
+            explained += (
+                f", and an error of {' or '.join(each.instead)} would explain about as much"
+            )
         yield replace(said, message=said.message + explained, joint=each.joint)
 
 
