@@ -15,7 +15,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
-from asbuilt.identification.servo.servo_scale import block_weights, clustered
+from asbuilt.identification.servo.servo_scale import block_weights, clustered, truncated_solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,9 +180,7 @@ def _residual(rows: ServoRows, k: int, used: Mask) -> Array:
     weight = used.astype(np.float64)
     for _ in range(RULES.passes):
         gram = rows.total(k, weight)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
-        normal = gram[:-1, :-1] * np.outer(scale, scale)
-        x = scale * np.linalg.lstsq(normal, scale * gram[:-1, -1], rcond=1e-10)[0]
+        x = truncated_solution(gram[:-1, :-1], gram[:-1, -1])
         weight = used * block_weights(rows, k, np.append(-x, 1.0))
     return np.append(-x, 1.0)
 

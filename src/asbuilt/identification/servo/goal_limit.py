@@ -17,7 +17,7 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.servo_rows import ServoRows
-from asbuilt.identification.servo.servo_scale import block_weights, clustered
+from asbuilt.identification.servo.servo_scale import block_weights, clustered, truncated_solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,9 +230,7 @@ def _variances(rows: ServoRows, k: int) -> Array:
     weight = np.ones(len(rows.times))
     for _ in range(RULES.passes):
         gram = rows.total(k, weight)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(gram)[free], 1e-300))
-        normal = gram[np.ix_(free, free)] * np.outer(scale, scale)
-        x = scale * np.linalg.lstsq(normal, scale * gram[free, -1], rcond=1e-10)[0]
+        x = truncated_solution(gram[np.ix_(free, free)], gram[free, -1])
         residual = np.append(-x, 1.0)
         weight = block_weights(rows, k, residual)
     return rows.variances(k, residual)

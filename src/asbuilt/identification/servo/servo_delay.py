@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
 from asbuilt.arrays import Array, Indices
@@ -84,7 +84,7 @@ def fit_delay(
     maps = [_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
     weight = np.ones((n, len(rows.times)))
     lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
-    x, scale = start, np.ones(n)
+    x, scale, free = start, np.ones(n), np.arange(p + 1)
     for _ in range(RULES.passes):
         normal, right = prior.copy(), prior @ start
         for k, (J, torque) in enumerate(maps):
@@ -93,7 +93,7 @@ def fit_delay(
             right += weighted @ torque
             if replayed is not None:
                 right -= float(weight[k] @ lengths) * (J[:-1].T @ replayed.weighted[k])
-        x, free = _bounded(normal, right, lower)
+        x, free = _bounded(normal, right, lower, free)
         residuals = [torque - J @ x for J, torque in maps]
         for k, residual in enumerate(residuals):
             own = block_weights(rows, k, residual)
@@ -135,10 +135,19 @@ def _coefficients(
     return J, torque
 
 
-def _bounded(normal: Array, right: Array, lower: Array) -> tuple[Array, Indices]:
-    """Return the solution of normal equations above its bounds, and what is not at a bound."""
+def _bounded(normal: Array, right: Array, lower: Array, near: Indices) -> tuple[Array, Indices]:
+    """Return the solution of normal equations above its bounds, and what is not at a bound.
+
+    `near` is what was not at a bound for similar equations: if it still is not, and all else has
+    the gradient that holds it there, that is the solution. Bounds are zero.
+    """
     scale = 1.0 / np.sqrt(np.diag(normal))
-    root = np.linalg.cholesky(normal * np.outer(scale, scale)).T
-    target = solve_triangular(root, right * scale, trans="T")
+    scaled, aim = normal * np.outer(scale, scale), right * scale
+    x, held = np.zeros(len(aim)), np.ones(len(aim), dtype=np.bool_)
+    x[near], held[near] = cho_solve(cho_factor(scaled[np.ix_(near, near)]), aim[near]), False
+    if np.all(x[near] > lower[near]) and np.all((scaled @ x - aim)[held] >= 0.0):
+        return x * scale, near
+    root = np.linalg.cholesky(scaled).T
+    target = solve_triangular(root, aim, trans="T")
     found = lsq_linear(root, target, bounds=(lower, np.inf), method="bvls")
     return found.x * scale, np.flatnonzero(found.active_mask == 0)

@@ -157,6 +157,18 @@ def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
     return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
 
 
+def truncated_solution(normal: Array, right: Array, smallest: float = 1e-10) -> Array:
+    """Return the least solution of normal equations, scaled, without directions of no information.
+
+    Eigenvalues of the scaled matrix below `smallest` times the largest count as none.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values, axes = np.linalg.eigh(normal * np.outer(scale, scale))
+    kept = values > smallest * values[-1]
+    along = axes[:, kept].T @ (scale * right) / values[kept]
+    return np.asarray(scale * (axes[:, kept] @ along))
+
+
 def clustered(scores: Array, rows: ServoRows) -> Array:
     """Return the sums of scores (B, ...) over neighbouring blocks, `CLUSTER` at a time."""
     sources = np.array([each.source for each in rows.times])
