@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from command_line import call
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tutorial.md"
 
@@ -46,19 +45,19 @@ def shown(expected: list[str], words: list[str]) -> str:
 
 
 @pytest.mark.slow
-def test_the_tutorial_prints_what_it_shows(tmp_path: Path) -> None:
+def test_the_tutorial_prints_what_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("mujoco")
-    environment = os.environ | {"COLUMNS": "80", "OMP_NUM_THREADS": "1"}
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
     assert commands()
     for line, expected in commands():
         program, *arguments = shlex.split(line)
         assert program == "asbuilt"
-        done = subprocess.run(
-            [sys.executable, "-m", "asbuilt.cli.app", *arguments],
-            cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, f"{line}\n{done.stderr}"
-        missing = shown(expected, masked(done.stdout))
-        assert not missing, f"{line} prints no longer:\n{missing}\nbut\n{done.stdout}"
+        status, out, err = call(capsys, *arguments)
+        assert status == 0, f"{line}\n{err}"
+        missing = shown(expected, masked(out))
+        assert not missing, f"{line} prints no longer:\n{missing}\nbut\n{out}"
     for block in re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE):
-        subprocess.run([sys.executable, "-c", block], cwd=tmp_path, env=environment, check=True)
+        exec(compile(block, PAGE.name, "exec"), {})
