@@ -62,6 +62,8 @@ def identify(
             "--payload", metavar="LOG", help="a recording under load: what does the flange carry?"
         ),
     ] = None,
+    workers: Processes = None,
+    scheduler: Scheduler = None,
     reading: ReadingOptions,
     filtering: Filtering,
     out: Out = None,
@@ -70,10 +72,13 @@ def identify(
 ) -> None:
     """Identify a robot from recordings, and validate the result."""
     distinct_logs(log, validate, payload)
+    if not options.rollout:
+        shares = {"--workers": workers is not None, "--scheduler": scheduler is not None}
+        refuse_idle("only rollouts are shared", shares)
     model, swept = described_robot(robot, fixed_base=reading.fixed_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
-    with progress_bar() as report:
+    with progress_bar() as report, shared_work(workers, scheduler) as shared:
         report("read", 0.0)
         model, (recordings, others, loaded) = robot_and_recordings(
             model, reading, log, validate, payload
@@ -83,7 +88,12 @@ def identify(
         from asbuilt.writers.reports.study_files import study_document, study_text, write_study
 
         study = identify_robot(
-            model, recordings, validation=others, options=options, progress=report
+            model,
+            recordings,
+            validation=others,
+            options=options,
+            workers=shared,
+            progress=report,
         )
         carried = None
         if loaded:

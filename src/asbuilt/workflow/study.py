@@ -13,6 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import ResultError, UsageError
+from asbuilt.executor import Workers
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
@@ -141,6 +142,7 @@ def identify(
     *,
     validation: RecordingLike | Sequence[RecordingLike] = (),
     options: StudyOptions | None = None,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> Study:
     """Identify a robot from recordings and validate the result.
@@ -156,6 +158,8 @@ def identify(
         Recordings to validate on, beside what `options.holdout` holds out.
     options
         How to identify; None: the defaults.
+    workers
+        Who simulates rollouts, to the same bits: those of `open_workers`; None: this process.
     progress
         Called with the name of a step and the fraction done.
 
@@ -217,7 +221,7 @@ def identify(
         return study
     report("roll out", 0.0)
     held = held_out_parts(trained, others, prepared.chain, prepared.holdout)
-    return _rolled_out(study, held, parts, options)
+    return _rolled_out(study, held, parts, options, workers)
 
 
 def _prepared(
@@ -261,7 +265,11 @@ def _all_fitted() -> UsageError:
 
 
 def _rolled_out(
-    study: Study, held: Sequence[Simulated], parts: Sequence[Simulated], options: StudyOptions
+    study: Study,
+    held: Sequence[Simulated],
+    parts: Sequence[Simulated],
+    options: StudyOptions,
+    workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
     if options.rollout and not held:
@@ -269,7 +277,7 @@ def _rolled_out(
     result = study.result.of_training
     if study.refined is not None:
         study = replace(study, refined=judged(result, study.refined, held or parts))
-    rollouts = simulated_rollouts([result] * len(held), held, options.rollout)
+    rollouts = simulated_rollouts([result] * len(held), held, options.rollout, workers=workers)
     findings = ranked((*study.findings, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)
 

@@ -11,8 +11,10 @@ import pytest
 from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 from typer.testing import CliRunner
 
-from asbuilt import StudyOptions, identify, roll_out_result
+from asbuilt import StudyOptions, identify, roll_out_result, simulate_recording
 from asbuilt.errors import UsageError
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.executor import Workers, open_workers
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.workflow.options import horizons
 
@@ -58,6 +60,18 @@ def test_a_rollout_needs_data_that_were_not_fitted(study) -> None:
         identify(servo_arm(), study[1], options=StudyOptions(rollout=(0.5,), holdout=None))
 
 
+def test_workers_simulate_what_was_held_out_to_the_same_bits(monkeypatch) -> None:
+    model, shared, run = servo_arm(), [], Workers.run
+    log = simulate_recording(model, random_fourier(model, rng=1, duration=8.0), rng=1)
+    options = StudyOptions(rollout=(0.1,), holdout="last:0.3", method="wls", checked=False)
+    alone = identify(model, log, options=options)
+    monkeypatch.setattr(Workers, "run", lambda *given: shared.append(given) or run(*given))
+    with open_workers(0) as workers:
+        (found,) = identify(model, log, options=options, workers=workers).rollouts
+    assert len(shared) == 1
+    assert found.as_built.rms_all == alone.rollouts[0].as_built.rms_all
+
+
 @pytest.mark.parametrize("text", ["0", "a,b", "-1", "nan", ""])
 def test_lengths_of_rollouts_are_positive(text: str) -> None:
     with pytest.raises(UsageError, match="positive"):
@@ -65,9 +79,8 @@ def test_lengths_of_rollouts_are_positive(text: str) -> None:
 
 
 def test_command_line_prints_rollouts_of_a_robot_as_described(tmp_path: Path) -> None:
-    from asbuilt import simulate_recording, write_recording
+    from asbuilt import write_recording
     from asbuilt.cli.app import app
-    from asbuilt.excitation.motions.random_motion import random_fourier
 
     model = servo_arm()
     log = simulate_recording(model, random_fourier(model, rng=1, duration=6.0), rng=1)
