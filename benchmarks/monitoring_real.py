@@ -156,8 +156,7 @@ class Detector:
         }
         rms = {key: np.sqrt(np.mean(np.vstack(x) ** 2, axis=0)) for key, x in known.items()}
         return [
-            f"  {name:20s} level {limits.level[j]:5.2f}  tail {limits.tails[j].shape:5.2f}"
-            f" of {limits.tails[j].peaks:3d} peaks   "
+            f"  {name:20s} level {limits.level[j]:5.2f}   "
             + "  ".join(f"{key} {size[j]:.3g}" for key, size in rms.items())
             for j, name in enumerate(limits.joint_names)
         ]

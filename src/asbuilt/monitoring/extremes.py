@@ -9,6 +9,7 @@ average over data sets.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,7 @@ def block_maxima(t: Array, values: Array, seconds: float) -> Array:
     return np.asarray(np.maximum.reduceat(values, starts, axis=0)[full])
 
 
-def tail_level(maxima: Array, probability: float) -> Tail:
+def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAILS) -> Tail:
     """Return the level that the next block maximum exceeds with a stated probability.
 
     Parameters
@@ -75,6 +76,8 @@ def tail_level(maxima: Array, probability: float) -> Tail:
         Block maxima (B,), independent and of one distribution.
     probability
         Probability that one more block exceeds the level.
+    shares
+        Shares of the blocks that are taken as the tail; the highest level counts.
 
     Raises
     ------
@@ -97,7 +100,7 @@ def tail_level(maxima: Array, probability: float) -> Tail:
             value=blocks,
             expected=FEWEST_BLOCKS,
         )
-    counts = {min(max(round(share * blocks), FEWEST_PEAKS), blocks // 2) for share in TAILS}
+    counts = {min(max(round(share * blocks), FEWEST_PEAKS), blocks // 2) for share in shares}
     found = [_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
     return max(found, key=lambda tail: tail.level)
 
@@ -105,10 +108,8 @@ def tail_level(maxima: Array, probability: float) -> Tail:
 def _tail(x: Array, peaks: int, probability: float) -> Tail:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
     blocks = len(x)
-    start = float(0.5 * (x[-peaks - 1] + x[-peaks]))
-    excess = np.maximum(x[-peaks:] - start, 0.0)
-    mean = max(float(excess.mean()), LEAST_SPREAD * start, np.finfo(float).tiny)
-    shape, scale, weight = _posterior(excess / mean)
+    start, mean = _start(x, peaks)
+    shape, scale, weight = _posterior(np.maximum(x[-peaks:] - start, 0.0) / mean)
     above = peaks / blocks
     low, high = 0.0, 1.0
     while above * _survival(high, shape, scale, weight) > probability and high < 1e9:
@@ -127,6 +128,26 @@ def _tail(x: Array, peaks: int, probability: float) -> Tail:
         float(np.sum(weight * shape)),
         mean * float(np.sum(weight * scale)),
     )
+
+
+def largest(maxima: Array) -> Array:
+    """Return the largest share `TAILS[0]` of maxima (B,), at least `FEWEST_PEAKS`, in order."""
+    peaks = min(max(round(TAILS[0] * len(maxima)), FEWEST_PEAKS), len(maxima) // 2)
+    return np.sort(maxima)[-peaks:]
+
+
+def exponential_level(maxima: Array, probability: float) -> float:
+    """Return the level that maxima (B,) exceed at a probability if their tail is exponential."""
+    x, peaks = np.sort(maxima), len(largest(maxima))
+    start, mean = _start(x, peaks)
+    return start + mean * max(float(np.log(peaks / (len(x) * probability))), 0.0)
+
+
+def _start(x: Array, peaks: int) -> tuple[float, float]:
+    """Return the start and the mean excess of the tail of the largest `peaks` of sorted maxima."""
+    start = float(0.5 * (x[-peaks - 1] + x[-peaks]))
+    mean = float(np.maximum(x[-peaks:] - start, 0.0).mean())
+    return start, max(mean, LEAST_SPREAD * start, np.finfo(float).tiny)
 
 
 def gumbel_level(maxima: Array, probability: float) -> float:

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.momentum import lagged
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.monitoring.extremes import Tail, block_maxima, gumbel_level, tail_level
+from asbuilt.monitoring.extremes import (
+    TAILS,
+    block_maxima,
+    exponential_level,
+    gumbel_level,
+    largest,
+    tail_level,
+)
 from asbuilt.monitoring.model_error import ModelError
 from asbuilt.monitoring.observed import Observed
 
@@ -21,26 +30,31 @@ BLOCK = 1.0
 SLOW = (0.01, 0.03, 0.1, 0.3)
 """Speeds, as shares of the top speed, below which friction may be in error; one is chosen."""
 POSITIVE = ("level", "floor", "slow_speed")
-NOT_NEGATIVE = ("slow_part", "fast", "top_speed", "velocity_error")
+NOT_NEGATIVE = ("slow_part", "fast", "top_speed", "velocity_error", "model_part")
 HALF = 0.5
 """Largest error of the mean of a torque that steps between two samples, per step."""
 MOST = 0.5
 """Largest probability of an alarm in a block; beyond it a level lies within the noise."""
-LEAST = 1e-3
-"""Smallest floor of the scale, per RMS residual."""
+MANY = 500
+"""Blocks from which the ten largest are the largest 2 %: joints then have one tail together."""
+LEAST = (0.001, 0.1, 0.3, 1.0)
+"""Least floors of the scale, per RMS residual; one is chosen."""
+MOST_ROWS = 20000
+"""Samples that the scale is fitted to; a residual of 20 ms repeats itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thresholds:
     """Hold limits of the residual of each joint: `level S + u / 2 + w`, S the scale of its errors.
 
-    `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + model^2`: a constant, friction near standstill with
-    phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples, growth with
-    speed, and the standard deviation of the predicted torque that follows from the covariance of
-    the parameters. u is the lagged size `|tau_k - tau_(k-1)|` of the steps of torque: one at an
-    unknown time between two samples has a mean there that is off by at most half of it. A contact
-    raises its own threshold by less than half of what it adds to the residual. w is the lagged
-    largest error of friction whose direction is unknown (`Observed.unknown_friction`).
+    `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + (part model)^2`: a constant, friction near
+    standstill with phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples,
+    growth with speed, and the standard deviation of the predicted torque that follows from the
+    covariance of the parameters, times a part. u is the lagged size `|tau_k - tau_(k-1)|` of the
+    steps of torque: one at an unknown time between two samples has a mean there that is off by at
+    most half of it. A contact raises its own threshold by less than half of what it adds to the
+    residual. w is the lagged largest error of friction whose direction is unknown
+    (`Observed.unknown_friction`).
 
     Parameters
     ----------
@@ -49,7 +63,7 @@ class Thresholds:
     bandwidth
         Bandwidth of the observer [Hz].
     false_alarms_per_hour
-        Rate for the whole robot; a joint has its n-th part.
+        Rate for the whole robot.
     block_seconds, hours, rate
         Length of the blocks, and of the recordings that the levels were set on, and their sampling
         rate [Hz].
@@ -58,8 +72,8 @@ class Thresholds:
         and speeds [rad/s or m/s], the last the highest met.
     velocity_error
         Largest error of the velocities [rad/s or m/s] per joint, (n,); none given: 0.
-    tails
-        The tail of each joint's block maxima.
+    model_part
+        Share of the model's standard deviation in S, per joint, (n,); none given: 1.
     held_out
         Whether the levels were set on recordings other than the one watched.
     filtered
@@ -84,14 +98,15 @@ class Thresholds:
     slow_speed: Array
     top_speed: Array
     velocity_error: Array = field(default_factory=lambda: np.zeros(0))
-    tails: tuple[Tail, ...] = ()
+    model_part: Array = field(default_factory=lambda: np.zeros(0))
     held_out: bool = True
     filtered: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
-        if np.size(self.velocity_error) == 0:
-            object.__setattr__(self, "velocity_error", np.zeros(n))
+        for name, value in (("velocity_error", 0.0), ("model_part", 1.0)):
+            if np.size(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(n, value))
         for name in ("bandwidth", "false_alarms_per_hour", "block_seconds", "hours", "rate"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
@@ -123,7 +138,7 @@ class Thresholds:
     def scale(self, qd: Array, slowness: Array, model: Array) -> Array:
         """Return the scale S, shape of `qd`, from lagged slowness and model error."""
         square = self.floor**2 + self.slow_part**2 * slowness + (self.fast * qd) ** 2
-        return np.asarray(np.sqrt(square + model**2))
+        return np.asarray(np.sqrt(square + (self.model_part * model) ** 2))
 
     def limit(
         self, qd: Array, slowness: Array, step: Array, unknown_friction: Array, model: Array
@@ -178,9 +193,8 @@ def set_thresholds(
 
     Residuals, less what errors of known bounds may cause, are divided by their scale S, which
     removes most of what speed and pose change, and the largest of each block follow a tail
-    (`tail_level`).
-    Assumptions: the motions ahead are like those of the recordings, blocks are independent, and
-    joints may alarm one at a time, so that their rates add up.
+    (`tail_level`). Assumptions: the motions ahead are like those of the recordings, and blocks are
+    independent.
 
     Parameters
     ----------
@@ -229,7 +243,7 @@ def set_thresholds(
             expected=highest,
         )
     for last in (held_out, True):
-        parts = [_parts(j, logs, models, kept) for j in range(n)]
+        parts = [_parts(j, logs, models, kept, seconds, probability) for j in range(n)]
         made = Thresholds(
             joint_names=names,
             bandwidth=bandwidth,
@@ -241,7 +255,8 @@ def set_thresholds(
             floor=np.array([part[0] for part in parts]),
             slow_part=np.array([part[1] for part in parts]),
             fast=np.array([part[2] for part in parts]),
-            slow_speed=np.array([part[3] for part in parts]),
+            model_part=np.array([part[3] for part in parts]),
+            slow_speed=np.array([part[4] for part in parts]),
             top_speed=np.max([np.abs(log.qd).max(axis=0) for log in logs], axis=0),
             velocity_error=np.zeros(n) if velocity_error is None else velocity_error,
             held_out=held_out,
@@ -257,11 +272,28 @@ def set_thresholds(
     maxima = np.concatenate(
         [block_maxima(log.t, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
     )
-    tails = tuple(tail_level(column, probability) for column in maxima.T)
-    level = np.array([tail.level for tail in tails])
     if not held_out:
-        level, tails = np.array([gumbel_level(column, probability) for column in maxima.T]), ()
-    return replace(made, level=level, tails=tails)
+        level = np.array([gumbel_level(column, probability) for column in maxima.T])
+        return replace(made, level=level)
+    return replace(made, level=levels(maxima, false_alarms_per_hour * seconds / 3600.0))
+
+
+def levels(maxima: Array, expected: float) -> Array:
+    """Return levels (n,) of block maxima (B, n), for a number of false alarms per block.
+
+    With `MANY` blocks the largest of all joints, each in units of the mean of its own largest block
+    maxima, has one tail, which begins at its largest half percent. A tail per joint, for the n-th
+    part of the rate, would lie n times farther beyond what the recordings show, and count joints
+    twice that alarm together. With fewer blocks the ten largest of a joint reach into the bulk of
+    its blocks, which says little of its tail beside those of others; each then has its own.
+    """
+    n = maxima.shape[1]
+    if len(maxima) < MANY:
+        each = float(-np.expm1(-expected / n))
+        return np.array([tail_level(column, each).level for column in maxima.T])
+    size = np.maximum([np.mean(largest(column)) for column in maxima.T], np.finfo(float).tiny)
+    tail = tail_level((maxima / size).max(axis=1), float(-np.expm1(-expected)), TAILS[-1:])
+    return np.asarray(size * tail.level)
 
 
 def _check_measured(logs: Sequence[Observed], names: Sequence[str]) -> None:
@@ -292,29 +324,40 @@ def _quiet(log: Observed, ratio: Array, seconds: float) -> Mask:
 
 
 def _parts(
-    j: int, logs: Sequence[Observed], models: Sequence[Array], kept: Sequence[Mask]
-) -> tuple[float, float, float, float]:
-    """Return floor, slow part, fast part and slow speed of joint j.
+    j: int,
+    logs: Sequence[Observed],
+    models: Sequence[Array],
+    kept: Sequence[Mask],
+    seconds: float,
+    probability: float,
+) -> tuple[float, float, float, float, float]:
+    """Return floor, slow part, fast part, model part and slow speed of joint j.
 
-    They are the most likely for normal residuals of these scales, by weighted least squares of the
-    squares; shares of the steps of torque and of the unknown friction are fitted beside them.
+    For each slow speed and least floor they are the most likely for normal residuals of these
+    scales, by weighted least squares of the squares; shares of the steps of torque and of the
+    unknown friction are fitted beside them. Of these the one counts that makes thresholds lowest:
+    the geometric mean of `level S` with the level that block maxima exceed at the probability, if
+    their tail is exponential. The most likely scale alone is not it: where it is too small, a few
+    samples would raise the level everywhere.
     """
     residual, speed, model, step, unknown = (
         np.concatenate([each[keep] for each, keep in zip(arrays, kept, strict=True)])
         for arrays in (
             [log.residual[:, j] for log in logs],
             [log.qd[:, j] for log in logs],
-            [each[:, j] ** 2 for each in models],
+            [each[:, j] for each in models],
             [log.step[:, j] for log in logs],
             [log.unknown_friction[:, j] for log in logs],
         )
     )
     size = float(np.sqrt(np.mean(residual**2)))
-    squares, model = (residual / size) ** 2, model / size**2
-    beside = np.column_stack([step, unknown]) / size
     top = float(np.abs(speed).max()) or 1.0
+    starts = _block_starts(logs, kept, seconds)
+    excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
+    few = slice(None, None, max(1, len(residual) // MOST_ROWS))
+    beside = np.column_stack([step, unknown]) / size
     least = [least_speed(velocities_before(log), log.qd) for log in logs]
-    best: tuple[float, tuple[float, float, float, float]] | None = None
+    best: tuple[float, tuple[float, float, float, float, float]] | None = None
     for part in SLOW:
         slow_speed = part * top
         slowness = np.concatenate(
@@ -323,15 +366,38 @@ def _parts(
                 for log, speed_of, keep in zip(logs, least, kept, strict=True)
             ]
         )
-        columns = np.column_stack([np.ones(len(squares)), slowness, (speed / top) ** 2, beside**2])
-        variance = np.ones(len(squares))
-        for _ in range(6):
-            found = _non_negative(columns / variance[:, None], (squares - model) / variance)
-            found[0] = max(found[0], LEAST**2)
-            variance = columns @ found + model
-        cost = float(np.sum(np.log(variance) + squares / variance))
-        if best is None or cost < best[0]:
-            a, b, c = (size * np.sqrt(found[:3])).tolist()
-            best = cost, (a, b, c / top, slow_speed)
+        columns = np.column_stack(
+            [np.ones(len(speed)), slowness, (speed / top) ** 2, (model / size) ** 2]
+        )
+        whole = np.column_stack([columns, beside**2])[few]
+        for floor in LEAST:
+            found = _variances(whole, (residual[few] / size) ** 2, floor)
+            scale = np.sqrt(columns @ found[:4])
+            level = exponential_level(np.maximum.reduceat(excess / scale, starts), probability)
+            cost = float(np.log(level) + np.mean(np.log(scale)))
+            if best is None or cost < best[0]:
+                a, b, c, d = np.sqrt(found[:4]).tolist()
+                best = cost, (size * a, size * b, size * c / top, d, slow_speed)
     assert best is not None
     return best[1]
+
+
+def _variances(columns: Array, squares: Array, floor: float) -> Array:
+    """Return coefficients of the columns of a variance, the first at least `floor**2`."""
+    variance = np.ones(len(squares))
+    found = np.zeros(columns.shape[1])
+    for _ in range(6):
+        found = _non_negative(columns / variance[:, None], squares / variance)
+        found[0] = max(found[0], floor**2)
+        variance = columns @ found
+    return found
+
+
+def _block_starts(logs: Sequence[Observed], kept: Sequence[Mask], seconds: float) -> NDArray[Any]:
+    """Return the first rows of the blocks of the samples kept of all logs."""
+    blocks = [
+        np.floor((log.t - log.t[0]) / seconds)[keep] for log, keep in zip(logs, kept, strict=True)
+    ]
+    number = np.repeat(np.arange(len(logs)), [len(each) for each in blocks])
+    both = np.column_stack([number, np.concatenate(blocks)])
+    return np.flatnonzero(np.any(np.diff(both, axis=0, prepend=-1.0) != 0.0, axis=1))

@@ -15,6 +15,8 @@ ORDER = 4
 """Order of the differences in which noise shows and motion does not."""
 GAIN = float(np.sqrt(70.0))
 """Standard deviation of fourth differences of white noise of 1: root of 1 + 16 + 36 + 16 + 1."""
+SLOWEST = 0.1
+"""Share of the samples, the slowest, in which noise is sought."""
 NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 
@@ -25,7 +27,8 @@ def largest_velocity_error(
     """Return the largest error (n,) of velocities [rad/s or m/s]: three standard deviations.
 
     Noise is that of fourth differences (their median size, without those that are 0), in which
-    motion within the bandwidth of a robot hardly shows.
+    motion within the bandwidth of a robot hardly shows. It is taken from the slowest tenth of the
+    samples: where direction may be unknown, and where an irregular clock makes no noise.
 
     Parameters
     ----------
@@ -45,19 +48,25 @@ def largest_velocity_error(
     found = []
     for t, q, qd in logs:
         kept = np.isfinite(t) & np.isfinite(q).all(axis=1)
-        if pole is None and qd is not None:
-            found.append(_noise(qd[kept & np.isfinite(qd).all(axis=1)]))
-        elif pole is not None:
-            found.append(_noise(q[kept]) * _derivative_gain(pole, float(np.median(np.diff(t)))))
+        if pole is not None:
+            x = q[kept]
+            found.append(
+                _noise(x, x[ORDER:] - x[:-ORDER])
+                * _derivative_gain(pole, float(np.median(np.diff(t))))
+            )
+        elif qd is not None:
+            x = qd[kept & np.isfinite(qd).all(axis=1)]
+            found.append(_noise(x, x[ORDER:] + x[:-ORDER]))
     return np.asarray(LARGEST * np.max(found, axis=0))
 
 
-def _noise(x: Array) -> Array:
-    """Return the standard deviation (n,) of white noise in columns (N, n)."""
-    sizes = np.abs(np.diff(x, ORDER, axis=0))
-    return np.array([np.median(size[size > 0.0]) if size.any() else 0.0 for size in sizes.T]) / (
-        NORMAL * GAIN
-    )
+def _noise(x: Array, rate: Array) -> Array:
+    """Return the standard deviation (n,) of white noise in columns (N, n) where `rate` is least."""
+    sizes, found = np.abs(np.diff(x, ORDER, axis=0)), []
+    for size, speed in zip(sizes.T, np.abs(rate).T, strict=True):
+        near = size[speed <= np.quantile(speed, SLOWEST)] if size.size else size
+        found.append(np.median(near[near > 0.0]) if near.any() else 0.0)
+    return np.array(found) / (NORMAL * GAIN)
 
 
 def _derivative_gain(pole: float, spacing: float) -> float:

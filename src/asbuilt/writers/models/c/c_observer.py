@@ -184,6 +184,7 @@ def _threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) 
         "floor_square": thresholds.floor**2,
         "slow_square": thresholds.slow_part**2,
         "fast": thresholds.fast,
+        "model_square": thresholds.model_part**2,
     }
     tables = "\n".join(_table(key, values) for key, values in parts.items())
     spread = ""
@@ -192,7 +193,7 @@ def _threshold_source(name: str, n: int, thresholds: Thresholds, factor: Array) 
         spread = f"""        for (int c = 0; c < {k}; c++) {{
             double sum = 0.0;
             for (int b = 0; b < {p}; b++) sum += Y[j*{p} + b]*factor[b*{k} + c];
-            square += sum*sum;
+            square += model_square[j]*sum*sum;
         }}
 """
     regressor = (
