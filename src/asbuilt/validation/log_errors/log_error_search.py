@@ -96,10 +96,7 @@ class LogErrorSearch:
         return bounds is not None and abs(error.value) >= bounds.matters * size
 
     def pace(self) -> LogError | None:
-        """Return the error of a clock that is off by about one of some factors, if one is.
-
-        None where clocks so far off would not show in the log.
-        """
+        """Return the error of a clock that is off by about one of some factors, if one is."""
         whole = self._first[1].residual
         own = Candidate("clock", None)
         nothing = Correction.nothing(len(self._largest))
@@ -110,7 +107,7 @@ class LogErrorSearch:
         if left[best] > (1.0 - NAMED) * whole:
             return None
         (error,) = self._refined([(own, 0.0)], replace(nothing, clock=best)) or (None,)
-        if error is None or abs(error.value) < self.clock_unseen:
+        if error is None:
             return None
         after = self._residual(replace(nothing, clock=1.0 + error.value).of)
         return replace(error, share=1.0 - after / whole)
