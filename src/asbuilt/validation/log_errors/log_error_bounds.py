@@ -34,7 +34,7 @@ class Bounds:
 
 
 BOUNDS: dict[Kind, Bounds] = {
-    "clock": Bounds(-0.5, 1.0, 0.01),
+    "clock": Bounds(-np.inf, np.inf, 0.01),
     "zero": Bounds(-np.deg2rad(20.0), np.deg2rad(20.0), np.deg2rad(0.3)),
     "scale": Bounds(-1.15, 1.0, 0.03),
     "nonlinear": Bounds(-0.8, 0.0, 0.05),
@@ -42,10 +42,7 @@ BOUNDS: dict[Kind, Bounds] = {
     "warming": Bounds(-1.5, 1.5, 0.05),
     "spring": Bounds(0.0, np.inf, 0.02),
 }
-"""Own choices: what a robot in use can have; `drift` and `spring` in largest torques of a joint.
-
-Of the clock, what is still first order; one that is off by more is looked for about some factors.
-"""
+"""Own choices: what a robot in use can have; `drift` and `spring` in largest torques of a joint."""
 IN_TORQUES = ("drift", "spring")
 NAMED = 0.05
 """Share of the squared residual from which on an error is named."""
