@@ -11,8 +11,8 @@ from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.locking import lock_findings, locks_from_text
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.locking import lock_findings, locks_from_text
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.writers.models.robot_toml import robot_toml

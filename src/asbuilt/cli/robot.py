@@ -379,7 +379,7 @@ def convert(
     A robot file (.toml) also holds gravity, couplings of motors and drives, which can be added
     there by hand. What the format cannot hold is listed; shapes and meshes are left out.
     """
-    from asbuilt.description.locking import locks_from_text
+    from asbuilt.description.structure.locking import locks_from_text
     from asbuilt.experiment.logs.options import gravity_of
     from asbuilt.writers.models.convert import convert_robot
 

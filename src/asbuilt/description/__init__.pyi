@@ -8,9 +8,9 @@ from .formats.dh import robot_from_dh as robot_from_dh
 from .inertia import LinkInertia as LinkInertia
 from .load import load_robot as load_robot
 from .model import RobotModel as RobotModel
-from .parts import Frame as Frame
-from .parts import Geometry as Geometry
-from .parts import Joint as Joint
-from .parts import JointLimits as JointLimits
-from .parts import Link as Link
-from .parts import Mimic as Mimic
+from .structure.parts import Frame as Frame
+from .structure.parts import Geometry as Geometry
+from .structure.parts import Joint as Joint
+from .structure.parts import JointLimits as JointLimits
+from .structure.parts import Link as Link
+from .structure.parts import Mimic as Mimic

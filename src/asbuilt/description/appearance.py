@@ -88,8 +88,8 @@ def _solids(model: RobotModel) -> Iterator[Solid]:
     distances = _distances(model)
     reach = stretched_length(model)
     thick = SLENDERNESS * reach
-    ends: dict[int, list[Array]] = {k: [] for k in range(ROOT, model.n_joints)}
-    for joint in model.joints:
+    ends: dict[int, list[Array]] = {k: [] for k in range(ROOT, model.n_links)}
+    for joint in model.moving_joints:
         ends[joint.parent].append(joint.before[:3, 3])
     for frame in model.frames:
         if frame.link == ROOT or not ends[frame.link]:
@@ -97,7 +97,7 @@ def _solids(model: RobotModel) -> Iterator[Solid]:
     for end in ends[ROOT]:
         if np.linalg.norm(end) > thick:
             yield Solid(ROOT, "rod", np.zeros(3), end, thick)
-    for k, (joint, link) in enumerate(zip(model.joints, model.links, strict=True)):
+    for k, (joint, link) in enumerate(zip(model.moving_joints, model.links, strict=True)):
         radius = thick * (1.0 - TAPER * float(distances[k]) / reach)
         axis = joint.after[2, :3]
         origin = -joint.after[:3, :3].T @ joint.after[:3, 3]
@@ -135,9 +135,10 @@ def _rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Array, Arr
 
 
 def _distances(model: RobotModel) -> Array:
-    """Return how far along the chain each joint's link ends, shape (n,) [m]."""
-    along = np.zeros(model.n_joints)
-    for k, joint in enumerate(model.joints):
+    """Return how far along the chain each link ends, shape (n_links,) [m]."""
+    along = np.zeros(model.n_links)
+    for k in model.link_order:
+        joint = model.moving_joints[k]
         before = 0.0 if joint.parent == ROOT else along[joint.parent]
         own = np.linalg.norm(joint.before[:3, 3]) + np.linalg.norm(joint.after[:3, 3])
         tip = max(

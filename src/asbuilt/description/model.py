@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.locking import held_followers, locked_positions, merged
-from asbuilt.description.parts import (
+from asbuilt.description.structure.couplings import (
+    Coupling,
+    coupling_of,
+    followed,
+    separated,
+    tree_order,
+)
+from asbuilt.description.structure.locking import held_followers, locked_positions, merged
+from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
     USUAL_GRAVITY,
@@ -54,7 +62,9 @@ MOST_JOINTS = 100
 class RobotModel:
     """Describe a robot: joint i moves link i; every parent precedes its children.
 
-    Fixed joints are already merged.
+    Fixed joints are already merged. Joints that follow others (`mimic`) have no drive and no column
+    in a log: the constructor sets them apart as `followers`, which move the links behind those of
+    the `joints`.
 
     `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value
     of each symbol that the joints use. `drives_by_design` is False where the joints' drive values
@@ -74,6 +84,7 @@ class RobotModel:
     gravity: Array = field(default_factory=lambda: np.array(USUAL_GRAVITY))
     root_link: str = "root"
     frames: tuple[Frame, ...] = ()
+    followers: tuple[Joint, ...] = ()
     lengths: Mapping[str, float] = field(default_factory=dict)
     drives_by_design: bool = True
     motor_coupling: Array | None = None
@@ -93,35 +104,35 @@ class RobotModel:
             )
         gravity.setflags(write=False)
         object.__setattr__(self, "gravity", gravity)
+        if len(self.joints) + len(self.followers) == len(self.links) and any(
+            joint.mimic is not None for joint in self.joints
+        ):
+            self._set_followers_apart()
+        every = self.moving_joints
         if not self.joints:
             raise DescriptionError(
                 f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic"
                 " joint"
             )
-        if len(self.joints) > MOST_JOINTS:
+        if len(every) > MOST_JOINTS:
             raise DescriptionError(
-                f"{self.name} has {len(self.joints)} moving joints; at most {MOST_JOINTS} are read"
+                f"{self.name} has {len(every)} moving joints; at most {MOST_JOINTS} are read"
             )
-        if len(self.joints) != len(self.links):
+        if len(every) != len(self.links):
             raise DescriptionError(
-                f"{self.name}: {len(self.joints)} joints but {len(self.links)} links; joint i must"
+                f"{self.name}: {len(every)} joints but {len(self.links)} links; joint i must"
                 " move link i"
             )
         for names, what in (
-            ([j.name for j in self.joints], "joint"),
+            ([j.name for j in every], "joint"),
             ([link.name for link in self.links], "link"),
         ):
             repeated = sorted({name for name in names if names.count(name) > 1})
             if repeated:
                 raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
-        for i, joint in enumerate(self.joints):
-            if not ROOT <= joint.parent < i:
-                raise DescriptionError(
-                    f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link"
-                    f" (index {joint.parent})"
-                )
-            if joint.mimic is not None and joint.mimic.joint == joint.name:
-                raise DescriptionError(f"{self.name}: joint {joint.name!r} mimics itself")
+        tree_order(self.name, every, len(self.joints))
+        for joint in self.followers:
+            followed(self.name, joint, every)
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -174,7 +185,7 @@ class RobotModel:
                 link.name,
                 link.inertia.mass if link.inertia_known else None,
             )
-            for joint, link in zip(self.joints, self.links, strict=True)
+            for joint, link in zip(self.moving_joints, self.links, strict=True)
         )
         return Table(columns, rows, title=f"{self.name}: {self.n_joints} joints")
 
@@ -191,7 +202,26 @@ class RobotModel:
     @property
     def link_joints(self) -> tuple[int, ...]:
         """Joint whose drive moves each link relative to its parent, counted from 0."""
-        return tuple(range(self.n_links))
+        every = self.moving_joints
+        return tuple(
+            self.joint_names.index(followed(self.name, joint, every)[0]) for joint in every
+        )
+
+    @property
+    def link_shares(self) -> tuple[float, ...]:
+        """How far the joint of each link moves per unit of the joint whose drive moves it."""
+        every = self.moving_joints
+        return tuple(followed(self.name, joint, every)[1] for joint in every)
+
+    @property
+    def link_order(self) -> tuple[int, ...]:
+        """The links in an order in which parents come before what they carry."""
+        return tuple(tree_order(self.name, self.moving_joints, self.n_joints))
+
+    @property
+    def moving_joints(self) -> tuple[Joint, ...]:
+        """The joint that moves each link: those with a drive, then those that follow them."""
+        return (*self.joints, *self.followers)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -205,8 +235,58 @@ class RobotModel:
 
     @property
     def parents(self) -> tuple[int, ...]:
-        """Index of each joint's parent link, ROOT for the root."""
-        return tuple(joint.parent for joint in self.joints)
+        """Index of the parent of each link, ROOT for the root."""
+        return tuple(joint.parent for joint in self.moving_joints)
+
+    @cached_property
+    def coupling(self) -> Coupling | None:
+        """How the joints of all links move with those that have a drive, None if all have one."""
+        return coupling_of(self) if self.followers else None
+
+    @cached_property
+    def tree(self) -> RobotModel:
+        """The robot with a drive at every joint, in the order of `coupling`; itself without one."""
+        if self.coupling is None:
+            return self
+        joints, links, frames = self._in_tree_order()
+        return replace(
+            self,
+            joints=tuple(replace(joint, mimic=None) for joint in joints),
+            links=links,
+            frames=frames,
+            followers=(),
+            motor_coupling=None,
+        )
+
+    def _in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
+        """Return the joints of all links, links and frames, parents before their children."""
+        every, order = self.moving_joints, self.link_order
+        place = {link: i for i, link in enumerate(order)} | {ROOT: ROOT}
+        return (
+            tuple(replace(every[k], parent=place[every[k].parent]) for k in order),
+            tuple(self.links[k] for k in order),
+            tuple(replace(frame, link=place[frame.link]) for frame in self.frames),
+        )
+
+    def _set_followers_apart(self) -> None:
+        """Move joints that follow others behind those that have a drive."""
+        found = separated(self.name, self.joints, self.followers, self.links, self.frames)
+        if self.motor_coupling is not None:
+            T = np.asarray(self.motor_coupling)
+            behind = [k for k in range(len(self.joints)) if k not in found.driven]
+            if T.shape == (len(self.joints),) * 2:
+                if not np.array_equal(T[behind], np.eye(len(T))[behind]) or np.any(
+                    T[np.ix_(found.driven, behind)]
+                ):
+                    raise DescriptionError(
+                        f"{self.name}: motor_coupling names joint {self.joints[behind[0]].name!r},"
+                        " which follows another and has no motor; leave it out"
+                    )
+                object.__setattr__(self, "motor_coupling", T[np.ix_(found.driven, found.driven)])
+        for name in ("joints", "followers", "links", "frames"):
+            object.__setattr__(self, name, getattr(found, name))
+        new = tuple(note for note in found.notes if note not in self.notes)
+        object.__setattr__(self, "notes", (*self.notes, *new))
 
     @property
     def parameters(self) -> Array:
@@ -215,14 +295,15 @@ class RobotModel:
 
     @property
     def geometry(self) -> Geometry:
-        """The arrays that the kernels take."""
+        """The arrays that the kernels take, of all links in the order of `tree`."""
+        joints = self.tree.joints
         return Geometry(
-            parent=np.array(self.parents, dtype=np.int64),
-            revolute=np.array([joint.is_revolute for joint in self.joints]),
-            before_rotation=np.ascontiguousarray([joint.before[:3, :3] for joint in self.joints]),
-            before_translation=np.ascontiguousarray([joint.before[:3, 3] for joint in self.joints]),
-            after_rotation=np.ascontiguousarray([joint.after[:3, :3] for joint in self.joints]),
-            after_translation=np.ascontiguousarray([joint.after[:3, 3] for joint in self.joints]),
+            parent=np.array(self.tree.parents, dtype=np.int64),
+            revolute=np.array([joint.is_revolute for joint in joints]),
+            before_rotation=np.ascontiguousarray([joint.before[:3, :3] for joint in joints]),
+            before_translation=np.ascontiguousarray([joint.before[:3, 3] for joint in joints]),
+            after_rotation=np.ascontiguousarray([joint.after[:3, :3] for joint in joints]),
+            after_translation=np.ascontiguousarray([joint.after[:3, 3] for joint in joints]),
             gravity=np.array(self.gravity),
         )
 
@@ -238,11 +319,11 @@ class RobotModel:
         return np.where(alone[:, None], 0.0, T)
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
-        """Return the joints from the root to `joint`, itself included, in order."""
+        """Return the links from the root to that of `joint`, itself included, in order."""
         chain: list[int] = []
         while joint != ROOT:
             chain.append(joint)
-            joint = self.joints[joint].parent
+            joint = self.parents[joint]
         return tuple(reversed(chain))
 
     def with_parameters(self, parameters: ArrayLike) -> RobotModel:
@@ -292,10 +373,11 @@ class RobotModel:
         >>> elbow.joint_names, elbow.locked_joints
         (('joint_1',), {'joint_2': 0.5})
         """
-        values = locked_positions(self.name, self.joints, self.locked_joints, joints)
+        every, all_links, all_frames = self._in_tree_order()
+        values = locked_positions(self.name, every, self.locked_joints, joints)
         if not values:
             return self
-        kept, links, frames = merged(self.joints, self.links, self.frames, values)
+        kept, links, frames = merged(every, all_links, all_frames, values)
         coupling = self.motor_coupling
         if coupling is not None:
             free = [k for k, name in enumerate(self.joint_names) if name not in values]
@@ -312,9 +394,10 @@ class RobotModel:
             joints=kept,
             links=links,
             frames=frames,
+            followers=(),
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
-            held_followers=held_followers(self.joints, self.held_followers, values),
+            held_followers=held_followers(every, self.held_followers, values),
             mass_ranges=tuple(
                 known
                 for known in self.mass_ranges

@@ -38,12 +38,15 @@ def _motions(model: RobotModel, q: Array) -> Array:
 
 
 def link_poses(model: RobotModel, q: ArrayLike) -> Array:
-    """Return the pose of every link in the root frame, shape (n_joints, 4, 4).
+    """Return the pose of every link in the root frame, shape (n_links, 4, 4).
 
-    For many samples the shape is (n_samples, n_joints, 4, 4). The identity is `T_i = T_parent
+    For many samples the shape is (n_samples, n_links, 4, 4). The identity is `T_i = T_parent
     before_i motion(q_i) after_i`.
     """
     (qs,) = joint_samples(model, q=q)
+    if (coupling := model.coupling) is not None:
+        of_tree = link_poses(model.tree, coupling.positions(qs))
+        return of_tree[:, np.argsort(coupling.order)].reshape(*np.shape(q)[:-1], -1, 4, 4)
     poses = _motions(model, qs)
     for i, parent in enumerate(model.parents):
         if parent != ROOT:
@@ -52,7 +55,7 @@ def link_poses(model: RobotModel, q: ArrayLike) -> Array:
 
 
 def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
-    """Return the Jacobian of every link in link axes, shape (n_joints, 6, n_joints).
+    """Return the Jacobian of every link in link axes, shape (n_links, 6, n_joints).
 
     For many samples n_samples comes first.
 
@@ -60,6 +63,11 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
     i.
     """
     (qs,) = joint_samples(model, q=q)
+    if (coupling := model.coupling) is not None:
+        of_tree = link_jacobians(model.tree, coupling.positions(qs)) @ coupling.matrix
+        return of_tree[:, np.argsort(coupling.order)].reshape(
+            *np.shape(q)[:-1], -1, 6, model.n_joints
+        )
     samples, n = qs.shape
     motions = _motions(model, qs)
     jacobians = np.zeros((samples, n, 6, n))

@@ -31,7 +31,7 @@ def generalised_momentum(
     q, qd
         Positions [rad or m] and velocities, shape (n,) or (N, n).
     parameters
-        Standard inertial parameters (10 n,), by default the model's own.
+        Standard inertial parameters (10 n_links,), by default the model's own.
 
     Raises
     ------
@@ -41,6 +41,13 @@ def generalised_momentum(
     qs, qds = joint_samples(model, q=q, qd=qd)
     p, gradient = np.empty(qs.shape), np.empty(qs.shape)
     chi = inertial_parameters(model, parameters)
+    if (coupling := model.coupling) is not None:
+        state = coupling.positions(qs), coupling.rates(qds)
+        in_tree = coupling.parameters(chi).reshape(-1)
+        p, gradient = map(
+            coupling.torques, generalised_momentum(model.tree, *state, parameters=in_tree)
+        )
+        return p.reshape(np.shape(q)), gradient.reshape(np.shape(q))
     kernels.momentum(*mechanism_of(model), chi, qs, qds, p, gradient)
     return p.reshape(np.shape(q)), gradient.reshape(np.shape(q))
 

@@ -25,6 +25,12 @@ def _torques(
     gravity: Array,
     threads: int | None,
 ) -> Array:
+    if (coupling := model.coupling) is not None:
+        rates = coupling.rates(qd), coupling.rates(qdd)
+        in_tree = coupling.parameters(chi)
+        return coupling.torques(
+            _torques(model.tree, coupling.positions(q), *rates, in_tree, gravity, threads)
+        )
     layout, torques = layout_of(model), np.empty(q.shape)
     inputs = flat(q), flat(qd), flat(qdd)
     given, out = np.array(gravity, dtype=np.float64), torques.reshape(-1)
@@ -39,6 +45,10 @@ def _torques(
 
 
 def _joint_space(model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool) -> Array:
+    if (coupling := model.coupling) is not None:
+        state = coupling.positions(q), coupling.rates(qd)
+        in_tree = coupling.parameters(chi)
+        return coupling.matrices(_joint_space(model.tree, *state, in_tree, coriolis=coriolis))
     layout, (samples, n) = layout_of(model), q.shape
     matrices = np.empty((samples, n, n))
     angles, rates, out = flat(q), flat(qd), matrices.reshape(-1)

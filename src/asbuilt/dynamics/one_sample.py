@@ -21,15 +21,19 @@ from asbuilt.dynamics.kernels.recursion import layout_of
 class OneSample:
     """Evaluate a robot for one sample at a time.
 
-    Each method returns None unless its arguments are arrays (n,) of finite float64; the
-    caller then takes the general road, which converts or raises.
+    Each method returns None unless its arguments are arrays (n,) of finite float64, and for robots
+    with joints that follow others; the caller then takes the general road, which converts or
+    raises.
     """
 
-    __slots__ = ("_codes", "_mass", "_n", "_numbers", "_program", "_still", "_torque")
+    __slots__ = ("_codes", "_general", "_mass", "_n", "_numbers", "_program", "_still", "_torque")
 
     def __init__(
         self, model: RobotModel, drive: DriveSet, values: Array, parameters: Array
     ) -> None:
+        self._general = bool(model.followers)
+        if self._general:
+            return
         layout, n = layout_of(model), model.n_joints
         program, constants = drive_program(drive, values, model.motor_shares)
         links = np.hstack([layout.placements, parameters.reshape(n, 10)]).ravel()
@@ -42,6 +46,8 @@ class OneSample:
 
     def torque(self, q: Any, qd: Any, qdd: Any) -> Array | None:
         """Return the torques of rigid bodies and drives [N m or N], shape (n,)."""
+        if self._general:
+            return None
         out = np.empty(self._n)
         try:
             return out if self._torque(self._program, self._numbers, q, qd, qdd, out) else None
@@ -50,6 +56,8 @@ class OneSample:
 
     def gravity(self, q: Any) -> Array | None:
         """Return the torques that hold the rigid bodies at rest [N m or N], shape (n,)."""
+        if self._general:
+            return None
         out, still = np.empty(self._n), self._still
         try:
             return out if self._torque(self._codes, self._numbers, q, still, still, out) else None
@@ -58,6 +66,8 @@ class OneSample:
 
     def mass_matrix(self, q: Any) -> Array | None:
         """Return the mass matrix of the rigid bodies, shape (n, n)."""
+        if self._general:
+            return None
         out = np.zeros((self._n, self._n))
         try:
             return out if self._mass(self._codes, self._numbers, q, out) else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.couplings import Coupling
 from asbuilt.dynamics.batches import flat, joint_samples, over_samples
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
@@ -59,9 +60,9 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
     Links it carries, its own drive, motors it turns.
     """
     chosen, n = _checked_columns(model, drive, columns), model.n_joints
-    carried = np.zeros((n, n), dtype=bool)
-    for i in range(n):
-        carried[list(model.ancestors(i)), i] = True
+    moved_by, carried = model.link_joints, np.zeros((n, model.n_links), dtype=bool)
+    for i in range(model.n_links):
+        carried[[moved_by[link] for link in model.ancestors(i)], i] = True
     links = np.repeat(carried, _PER_LINK, axis=1)
     turning = np.where(
         drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None]
@@ -69,6 +70,52 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
     drives = turning.reshape(n, -1)
     mask = np.concatenate([links, drives], axis=1)
     return [np.flatnonzero(mask[k, chosen]) for k in range(n)]
+
+
+@dataclass(frozen=True, eq=False)
+class TreeRows:
+    """Make the rows of joints that others follow from those of the joints of all links.
+
+    By virtual work `Y = E^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
+    factor with rows of the tree (m,), and the rows of the plan (m,) to which their product counts.
+    """
+
+    coupling: Coupling
+    plan: RegressorPlan
+    sums: tuple[tuple[float, Indices, Indices], ...]
+
+    @classmethod
+    def of(cls, model: RobotModel, coupling: Coupling, chosen: Indices, rows: Indices) -> TreeRows:
+        """Return the rows for the columns `chosen`, whose rows in joint k are `rows[k]`."""
+        inertial = chosen[chosen < _PER_LINK * model.n_links]
+        link, parameter = np.divmod(inertial, _PER_LINK)
+        plan = RegressorPlan.of(
+            model.tree, columns=_PER_LINK * np.argsort(coupling.order)[link] + parameter
+        )
+        sums = []
+        for k in range(model.n_joints):
+            for i in np.flatnonzero(coupling.matrix[:, k]):
+                own = np.arange(*plan.bounds[i])
+                sums.append((float(coupling.matrix[i, k]), own, rows[k, inertial[plan.support[i]]]))
+        return cls(coupling, plan, tuple(sums))
+
+    def fill(self, state: Sequence[Array], target: Array, threads: int | None) -> None:
+        """Write the rows of the links for states q, qd and qdd (N, n_joints) into `target`."""
+        q, qd, qdd = state
+        of_tree = self.plan.buffer(len(q))
+        rates = self.coupling.rates(qd), self.coupling.rates(qdd)
+        self.plan.evaluate(self.coupling.positions(q), *rates, of_tree, threads=threads)
+        for _, _, rows in self.sums:
+            target[rows, : len(q)] = 0.0
+        for factor, own, rows in self.sums:
+            target[rows, : len(q)] += factor * of_tree[own, : len(q)]
+
+    def weights(self, weights: Array, n_samples: int) -> Array:
+        """Return weights of the rows of the tree for those of the plan: the transpose of `fill`."""
+        found = np.zeros((self.plan.n_rows, n_samples))
+        for factor, own, rows in self.sums:
+            found[own] += factor * weights[rows, :n_samples]
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +129,8 @@ class RegressorPlan:
     joint k and the row after its last, spare rows excluded. `places[k, i, c]` is the row for joint
     k and parameter c of link i, -1 where it was not chosen; `drive_rows[k]` are the chosen among
     the drive columns of joint k in its own torque, and their rows; `motor_rows` lists (motor,
-    column, joint, row) for motors that several joints turn.
+    column, joint, row) for motors that several joints turn. `tree` makes the rows of links where
+    joints follow others.
 
     >>> from asbuilt.description.load import load_robot
     >>> plan = RegressorPlan.of(load_robot("kuka-iiwa7-r800"), columns=range(60, 70))
@@ -100,6 +148,7 @@ class RegressorPlan:
     places: Indices
     drive_rows: tuple[tuple[Some, Some], ...]
     motor_rows: tuple[tuple[int, int, int, int], ...] = ()
+    tree: TreeRows | None = None
 
     @classmethod
     def of(
@@ -131,8 +180,9 @@ class RegressorPlan:
         rows = np.full((n, parameter_count(model, drive)), -1, dtype=np.int64)
         for k, positions in enumerate(support):
             rows[k, chosen[positions]] = np.arange(*bounds[k])
-        places = rows[:, : n * _PER_LINK].reshape(n, n, _PER_LINK).copy()
-        drives = rows[:, n * _PER_LINK :].reshape(n, n, per)
+        first = model.n_links * _PER_LINK
+        places = rows[:, :first].reshape(n, model.n_links, _PER_LINK).copy()
+        drives = rows[:, first:].reshape(n, n, per)
         of_motor = drive.of_motor
         own = [np.where(of_motor, -1, drives[k, k]) for k in range(n)]
         drive_rows = tuple(
@@ -145,8 +195,18 @@ class RegressorPlan:
         )
         for array in (chosen, bounds, places, *support):
             array.setflags(write=False)
+        coupling = model.coupling
         return cls(
-            model, drive, chosen, spare_rows, support, bounds, places, drive_rows, motor_rows
+            model,
+            drive,
+            chosen,
+            spare_rows,
+            support,
+            bounds,
+            places,
+            drive_rows,
+            motor_rows,
+            None if coupling is None else TreeRows.of(model, coupling, chosen, rows),
         )
 
     @property
@@ -189,6 +249,16 @@ class RegressorPlan:
                 f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples}"
                 f" columns, got {target.dtype} {target.shape}; use plan.buffer(n_samples)"
             )
+        if self.tree is not None:
+            self.tree.fill(inputs, target, threads)
+        else:
+            self._fill(inputs, target, threads)
+        for _, rows_of_drive, columns in self._drive_columns(*inputs):
+            target[rows_of_drive, :n_samples] = columns
+        return self.joint_rows(target, n_samples)
+
+    def _fill(self, inputs: Sequence[Array], target: Array, threads: int | None) -> None:
+        """Write the rows of the links for checked states into `target`."""
         robot, vectors, rows, width = (
             layout_of(self.model).arrays,
             [flat(array) for array in inputs],
@@ -201,10 +271,7 @@ class RegressorPlan:
                 *robot, self.places, self.bounds, *vectors, start, stop, rows, width
             )
 
-        over_samples(work, n_samples, threads)
-        for _, rows_of_drive, columns in self._drive_columns(*inputs):
-            target[rows_of_drive, :n_samples] = columns
-        return self.joint_rows(target, n_samples)
+        over_samples(work, inputs[0].shape[0], threads)
 
     def joint_rows(self, out: Array, n_samples: int) -> tuple[Array, ...]:
         """Return the rows of each joint, the spare ones too, as views of the first samples."""
@@ -223,6 +290,11 @@ class RegressorPlan:
         for (first, stop), positions in zip(self.bounds.tolist(), self.support, strict=True):
             order[first:stop] = positions
         matrix = np.zeros((n_samples * n, self.columns.size))
+        if self.tree is not None:
+            by_joint = self.evaluate(*inputs, threads=threads)
+            for k, (part, positions) in enumerate(zip(by_joint, self.support, strict=True)):
+                matrix[k::n, positions] = part[: positions.size].T
+            return matrix
         robot, vectors, out, width = (
             layout_of(self.model).arrays,
             [flat(array) for array in inputs],

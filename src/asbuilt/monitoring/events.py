@@ -173,9 +173,8 @@ def _event(
 
 def _last(parents: Sequence[int], responding: NDArray[Any], ratio: Array) -> int:
     """Return the responding joint farthest from the root; of branches that responding most."""
-    depth = [0] * len(parents)
-    for k, parent in enumerate(parents):
-        depth[k] = 0 if parent < 0 else depth[parent] + 1
+    carriers = range(len(parents))
+    depth = [sum(_above(parents, other, k) for other in carriers) for k in carriers]
     ends = [int(k) for k in responding if not any(_above(parents, k, j) for j in responding)]
     return max(ends, key=lambda k: (float(ratio[:, k].max()), depth[k]))
 

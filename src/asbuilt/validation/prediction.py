@@ -187,7 +187,15 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
             f"{cad.name} has {cad.n_joints} joints, the result of {result.robot} has"
             f" {result.model.n_joints}"
         )
+    if [joint.mimic for joint in cad.followers] != [
+        joint.mimic for joint in result.model.followers
+    ]:
+        raise ResultError(
+            f"in {cad.name} and in {result.robot} other joints follow others; compare descriptions"
+            " with the same couplings"
+        )
     ours, theirs = result.model.geometry, cad.geometry
+    names = result.model.tree.joint_names
     for what in (
         "parent",
         "revolute",
@@ -202,9 +210,9 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
         if off[worst] > SAME_GEOMETRY:
             raise ResultError(
                 f"{cad.name} and {result.robot} differ in geometry: {what.replace('_', ' ')} of"
-                f" joint {result.joint_names[worst]!r} by {off[worst]:.3g}; compare descriptions"
+                f" joint {names[worst]!r} by {off[worst]:.3g}; compare descriptions"
                 " with the same joint frames, or identify with the other one",
-                joint=result.joint_names[worst],
+                joint=names[worst],
                 value=float(off[worst]),
             )
     return design_values(cad, result.base)

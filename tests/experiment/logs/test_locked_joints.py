@@ -12,8 +12,8 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.locking import lock_findings
 from asbuilt.description.model import Joint, JointLimits, Link, Mimic, RobotModel
+from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.joint_matching import joints_without_label

@@ -49,6 +49,7 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         ],
         "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
         "joints": [_joint_document(joint) for joint in model.joints],
+        "followers": [_joint_document(joint) for joint in model.followers],
         "links": [_link_document(link) for link in model.links],
         "frames": [
             {"name": frame.name, "link": frame.link, "placement": frame.placement.tolist()}
@@ -66,6 +67,7 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
         return RobotModel(
             name=str(document["name"]),
             joints=tuple(_joint(item) for item in document["joints"]),
+            followers=tuple(_joint(item) for item in document.get("followers", ())),
             links=tuple(_link(item) for item in document["links"]),
             gravity=_array(document["gravity"]),
             root_link=str(document["root_link"]),

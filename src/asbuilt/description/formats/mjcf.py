@@ -425,10 +425,6 @@ class _Tree:
             name = self.joints[other].name
             followed = Mimic(name, multiplier, zero + offset - multiplier * master)
             self.joints[one] = replace(self.joints[one], mimic=followed)
-            self.notes.append(
-                f"joint {self.joints[one].name!r} mimics {name!r} (equality constraint); it counts"
-                " as a joint of its own until it is locked"
-            )
             taken += 1
         return int(m.neq) - taken
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import Solid, link_solids, stretched_length
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import Joint, RobotModel
+from asbuilt.description.model import ROOT, Joint, RobotModel
 from asbuilt.description.rotation import quaternion_from_rotation
 from asbuilt.errors import InertiaError
 
@@ -58,18 +58,25 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     if shapes:
         _scene(root, stretched_length(model))
     world = SubElement(root, "worldbody")
-    bodies = [world]
-    for k, joint in enumerate(model.joints):
-        bodies.append(_body(bodies[joint.parent + 1], model, k))
+    bodies = {ROOT: world}
+    for k in model.link_order:
+        bodies[k] = _body(bodies[model.parents[k]], model, k)
     for frame in model.frames:
         SubElement(
-            bodies[frame.link + 1],
+            bodies[frame.link],
             "site",
             {"name": frame.name, **_pose(frame.placement), "size": "0.005"},
         )
     if shapes:
         for solid in link_solids(model):
-            _geom(bodies[solid.link + 1], solid)
+            _geom(bodies[solid.link], solid)
+    if model.followers:
+        equality = SubElement(root, "equality")
+        for joint in model.followers:
+            assert joint.mimic is not None
+            follows = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
+            names = {"joint1": joint.name, "joint2": joint.mimic.joint}
+            SubElement(equality, "joint", {**names, "polycoef": _numbers(follows)})
     if actuators:
         motors = SubElement(root, "actuator")
         for joint in model.joints:
@@ -81,7 +88,7 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
 
 
 def _body(parent: Element, model: RobotModel, k: int) -> Element:
-    joint, link = model.joints[k], model.links[k]
+    joint, link = model.moving_joints[k], model.links[k]
     body = SubElement(parent, "body", {"name": link.name, **_pose(joint.before @ joint.after)})
     _inertial(body, link.inertia, f"{model.name}: link {link.name!r}")
     SubElement(body, "joint", {"name": joint.name, **_joint(joint)})

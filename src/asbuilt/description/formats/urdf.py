@@ -373,11 +373,6 @@ def _check_mimics(
         if joint.mimic.joint in fixed:
             joints[k] = replace(joint, mimic=None)
             notes.append(f"{place}: the joint mimics a fixed joint; <mimic> is left out")
-        else:
-            notes.append(
-                f"{place}: the joint mimics {joint.mimic.joint!r}; it counts as a joint of its own"
-                " until it is locked"
-            )
 
 
 def _axis(connection: _Connection, notes: list[str]) -> Array:

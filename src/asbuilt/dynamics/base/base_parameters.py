@@ -10,7 +10,12 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.identifiability import StandardParameter, parameter_verdicts
+from asbuilt.dynamics.base.identifiability import (
+    StandardParameter,
+    numeric_verdicts,
+    parameter_verdicts,
+)
+from asbuilt.dynamics.base.numeric_regrouping import numeric_regrouping
 from asbuilt.dynamics.base.observation_rank import ObservationRank, observation_rank
 from asbuilt.dynamics.base.regrouping import structural_regrouping, symbolic_regrouping
 from asbuilt.dynamics.base.symbols import Polynomial, Row, written
@@ -149,31 +154,34 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
 @lru_cache(maxsize=KEPT)
 def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
     """Return the base parameters, remembered for the robots used last."""
-    with one_blas_thread():
-        found = structural_regrouping(model, drive)
-        numeric = observation_rank(model, drive)
-        if numeric.rank != len(found.columns):
-            raise IdentifiabilityError(_disagreement(model, drive, len(found.columns), numeric))
-        symbolic = symbolic_regrouping(model, drive, found)
     names = parameter_names(model, drive)
+    with one_blas_thread():
+        if model.followers:
+            columns, matrix = numeric_regrouping(model, drive)
+            verdicts = numeric_verdicts(columns, matrix, names)
+        else:
+            found = structural_regrouping(model, drive)
+            columns, matrix = found.columns, found.matrix
+            verdicts = parameter_verdicts(model, drive, found, names)
+        numeric = observation_rank(model, drive)
+        if numeric.rank != len(columns):
+            raise IdentifiabilityError(_disagreement(model, drive, len(columns), numeric))
+        rows = [{int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)} for row in matrix]
+        symbolic = rows if model.followers else symbolic_regrouping(model, drive, found)
     return BaseParameters(
         robot=model.name,
         drive=drive,
         standard_names=names,
         standard_units=parameter_units(model, drive),
-        columns=found.columns,
-        regrouping=found.matrix,
+        columns=columns,
+        regrouping=matrix,
         expressions=tuple(
-            _written(
-                {int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)}, column, names
-            )
-            for row, column in zip(found.matrix, found.columns, strict=True)
+            _written(row, column, names) for row, column in zip(rows, columns, strict=True)
         ),
         symbolic=tuple(
-            _written(row, column, names)
-            for row, column in zip(symbolic, found.columns, strict=True)
+            _written(row, column, names) for row, column in zip(symbolic, columns, strict=True)
         ),
-        standard=parameter_verdicts(model, drive, found, names),
+        standard=verdicts,
         link_joints=model.link_joints,
     )
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base.regrouping import Regrouping
@@ -72,7 +72,9 @@ def parameter_verdicts(
         members = tuple(int(found.columns[b]) + 1 for b in rows)
         alone = len(rows) == 1 and np.count_nonzero(found.matrix[rows[0]]) == 1
         status: Status = "unidentifiable" if not members else "identifiable" if alone else "grouped"
-        shown = _shown_in(found, names, j, rows) if status == "grouped" else ""
+        shown = (
+            _shown_in(found.columns, found.matrix, names, j, rows) if status == "grouped" else ""
+        )
         if j < 10 * model.n_links:
             link, symbol = j // 10, PARAMETER_NAMES[j % 10]
             if status == "unidentifiable":
@@ -101,11 +103,34 @@ def _shortened(words: Sequence[str]) -> str:
     return _listed(words if extra <= 0 else [*words[:LISTED_NAMES], f"{extra} more"])
 
 
-def _shown_in(found: Regrouping, names: Sequence[str], column: int, rows: Sequence[int]) -> str:
-    if column in found.columns:
-        others = [names[int(j)] for j in np.flatnonzero(found.matrix[rows[0]]) if j != column]
+def numeric_verdicts(
+    columns: Indices, matrix: Array, names: Sequence[str]
+) -> tuple[StandardParameter, ...]:
+    """Return the verdicts that follow from a regrouping matrix alone, without its structure."""
+    reasons: dict[Status, str] = {
+        "unidentifiable": "no motion of the joints that have a drive gives it a torque",
+        "identifiable": "no other parameter has the same effect on the torques",
+        "grouped": "others have the same effect on the torques of the joints that have a drive",
+    }
+    verdicts = []
+    for j, name in enumerate(names):
+        rows = [int(b) for b in np.flatnonzero(matrix[:, j])]
+        alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
+        status: Status = "unidentifiable" if not rows else "identifiable" if alone else "grouped"
+        shown = _shown_in(columns, matrix, names, j, rows) if status == "grouped" else ""
+        sentence = f"{name}: {STATEMENTS[status]}: {reasons[status]}{shown}"
+        members = tuple(int(columns[b]) + 1 for b in rows)
+        verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
+    return tuple(verdicts)
+
+
+def _shown_in(
+    columns: Indices, matrix: Array, names: Sequence[str], column: int, rows: Sequence[int]
+) -> str:
+    if column in columns:
+        others = [names[int(j)] for j in np.flatnonzero(matrix[rows[0]]) if j != column]
         return f"; its sum with {_shortened(others)} is identifiable, named {names[column]}"
-    kept = [names[int(found.columns[b])] for b in rows]
+    kept = [names[int(columns[b])] for b in rows]
     return f"; it is part of the {'sums' if len(kept) > 1 else 'sum'} named {_shortened(kept)}"
 
 

@@ -52,29 +52,34 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     i) . (inertia forces of link i)`, so that it shares neither the recursion nor the compiled
     kernels of the regressor. A load that drive terms depend on comes from random parameters.
     """
-    n = model.n_joints
-    n_columns = (10 + drive.columns_per_joint) * n
+    n, first = model.n_joints, 10 * model.n_links
+    n_columns = first + drive.columns_per_joint * n
     samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
     rng = np.random.default_rng(SEED)
     q = rng.uniform(-np.pi, np.pi, (samples, n))
     qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
     Y = np.zeros((n, samples, n_columns))
-    rigid = Y[:, :, : 10 * n]
-    _rigid_body_columns(model, q, qd, qdd, rigid)
+    rigid = Y[:, :, :first]
+    if (coupling := model.coupling) is None:
+        _rigid_body_columns(model, q, qd, qdd, rigid)
+    else:
+        of_tree = np.zeros((model.n_links, samples, first))
+        state = coupling.positions(q), coupling.rates(qd), coupling.rates(qdd)
+        _rigid_body_columns(model.tree, *state, of_tree)
+        by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, np.argsort(coupling.order)]
+        rigid[...] = np.einsum("ik,isc->ksc", coupling.matrix, by_link.reshape(of_tree.shape))
     load = (
-        np.stack([rows @ rng.uniform(0.5, 1.5, 10 * n) for rows in rigid], axis=1)
+        np.stack([rows @ rng.uniform(0.5, 1.5, first) for rows in rigid], axis=1)
         if drive.needs_load
         else None
     )
     drive = DriveSet(tuple(term.typical() for term in drive.terms))
     shares, of_motor = model.motor_shares, drive.of_motor
     for k in range(n):
-        first = 10 * n + drive.columns_per_joint * k
+        own = slice(first + drive.columns_per_joint * k, first + drive.columns_per_joint * (k + 1))
         columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares).T
         for j in range(n):
-            Y[j, :, first : first + drive.columns_per_joint] = columns * np.where(
-                of_motor, shares[k, j], float(j == k)
-            )
+            Y[j, :, own] = columns * np.where(of_motor, shares[k, j], float(j == k))
     stacked = Y.reshape(n * samples, n_columns)
     sizes = np.linalg.norm(stacked, axis=0)
     present = sizes > ABSENT_COLUMN * sizes.max()

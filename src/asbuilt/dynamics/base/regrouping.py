@@ -95,7 +95,7 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     matrix[np.arange(len(columns)), columns] = 1.0
     matrix[:, dependent] = -echelon[:, columns].T * scales[columns, None] / scales[dependent]
     for b, j in zip(*np.nonzero(matrix), strict=True):
-        matrix[b, j] = _without_noise(matrix[b, j])
+        matrix[b, j] = without_noise(matrix[b, j])
     return Regrouping(
         columns=columns,
         matrix=matrix,
@@ -160,7 +160,7 @@ def _agree(symbolic: Row, row: Array, lengths: Mapping[str, float]) -> bool:
     return bool(np.abs(values - row).max() <= LETTER_TOLERANCE * np.abs(row).max())
 
 
-def _without_noise(value: float) -> float:
+def without_noise(value: float) -> float:
     """Return the number to 15 significant digits: 0.16 for 0.16000000000000003."""
     return float(f"{value:.14e}")
 

@@ -32,6 +32,7 @@ from asbuilt.dynamics.kernels.lanes import (
     splat,
     store,
 )
+from asbuilt.errors import DescriptionError
 
 BLOCK = 32
 """Samples per block; a multiple of LANES."""
@@ -113,7 +114,16 @@ class Layout:
 
 @lru_cache(maxsize=16)
 def layout_of(model: RobotModel) -> Layout:
-    """Return the layout of a robot, remembered for the robots used last."""
+    """Return the layout of a robot, remembered for the robots used last.
+
+    Raises `DescriptionError` for a robot with joints that follow others: its `tree` has a layout.
+    """
+    if model.followers:
+        names = ", ".join(joint.name for joint in model.followers)
+        raise DescriptionError(
+            f"{model.name}: joints that follow others ({names}) are not supported here; lock the"
+            " joints that they follow"
+        )
     return Layout.of(model.geometry)
 
 

@@ -62,9 +62,9 @@ def regressor_adjoint(
     `weights` holds G in the layout that `plan.evaluate` writes Y in: one row per joint and chosen
     column, samples innermost, contiguous (plan.n_rows, at least N); rows of drive columns and spare
     rows are not looked at. `loads` (N, n) are the weights l of the torques tau of rigid bodies with
-    the standard `parameters` (10 n,). Raises UsageError for shapes that do not fit.
+    the standard `parameters` (10 n_links,). Raises UsageError for shapes that do not fit.
     """
-    n, layout = plan.model.n_joints, layout_of(plan.model)
+    n = plan.model.n_joints
     states = plan.checked_inputs(q, qd, qdd)
     n_samples = states[0].shape[0]
     if weights.ndim != 2 or weights.shape[0] < plan.n_rows or weights.shape[1] < n_samples:
@@ -77,7 +77,23 @@ def regressor_adjoint(
         raise UsageError(
             f"loads must have shape ({n_samples}, {n}), one per sample and joint, got {lam.shape}"
         )
-    chi = np.zeros((n, 10)) if parameters is None else inertial_parameters(plan.model, parameters)
+    chi = (
+        np.zeros((plan.model.n_links, 10))
+        if parameters is None
+        else inertial_parameters(plan.model, parameters)
+    )
+    if plan.tree is not None:
+        coupling, of_tree = plan.tree.coupling, plan.tree.weights(weights, n_samples)
+        position, *others = regressor_adjoint(
+            plan.tree.plan,
+            coupling.positions(states[0]),
+            *(coupling.rates(state) for state in states[1:]),
+            of_tree,
+            None if loads is None else coupling.rates(lam),
+            coupling.parameters(chi).reshape(-1),
+        )
+        return coupling.torques(position), coupling.torques(others[0]), coupling.torques(others[1])
+    layout = layout_of(plan.model)
     out = tuple(np.empty((n_samples, n)) for _ in range(3))
     _adjoint(
         layout.codes,

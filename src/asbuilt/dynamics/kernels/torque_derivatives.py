@@ -56,7 +56,7 @@ def torque_derivatives(
 
     Shape (n_samples, n_sets, n, n, 3), axes k, j, order.
 
-    `q, qd, qdd` are (n_samples, n); `parameters` (n_sets, 10 n) are sets of standard parameters,
+    `q, qd, qdd` are (n_samples, n); `parameters` (n_sets, 10 n_links) are sets of parameters,
     the model's own alone where None. Raises UsageError for shapes that do not fit. Source: Singh,
     Russell and Wensing (2022), the Coriolis sums written with the first moment of the momentum, so
     that a body takes 28 numbers.
@@ -66,10 +66,17 @@ def torque_derivatives(
     sets = np.asarray(
         model.parameters[None] if parameters is None else parameters, dtype=np.float64
     )
-    if sets.ndim != 2 or sets.shape[1] != 10 * n:
+    if sets.ndim != 2 or sets.shape[1] != 10 * model.n_links:
         raise UsageError(
-            f"sets of parameters of {model.name} must have shape (n_sets, {10 * n}), got"
-            f" {sets.shape}"
+            f"sets of parameters of {model.name} must have shape (n_sets, {10 * model.n_links}),"
+            f" got {sets.shape}"
+        )
+    if (coupling := model.coupling) is not None:
+        state = coupling.positions(qs), coupling.rates(qds), coupling.rates(qdds)
+        in_tree = coupling.parameters(sets.reshape(len(sets), -1, 10)).reshape(len(sets), -1)
+        of_tree = torque_derivatives(model.tree, *state, in_tree)
+        return np.einsum(
+            "ik,abijo,jl->abklo", coupling.matrix, of_tree, coupling.matrix, optimize=True
         )
     layout = layout_of(model)
     out = np.zeros((samples, len(sets), n, n, 3))

@@ -80,6 +80,8 @@ class CollisionGuard(StateConstraint):
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
         axes, origins = _joint_axes(self._model, q)
+        joints, moved_by = self._model.moving_joints, self._model.link_joints
+        shares = self._model.link_shares
         for number, (a, b) in enumerate(self.pairs):
             for body, point, sign in (
                 (a, points[:, number, 0], -1.0),
@@ -91,11 +93,11 @@ class CollisionGuard(StateConstraint):
                 for k in self._model.ancestors(link):
                     speed = (
                         np.cross(axes[:, k], point - origins[:, k])
-                        if self._model.joints[k].is_revolute
+                        if joints[k].is_revolute
                         else axes[:, k]
                     )
-                    gradient[:, number, k] += sign * np.einsum(
-                        "si,si->s", normals[:, number], speed
+                    gradient[:, number, moved_by[k]] += (
+                        sign * shares[k] * np.einsum("si,si->s", normals[:, number], speed)
                     )
         slopes: Array = slope[:, :, None, None] * gradient[..., None]
         return slopes
@@ -216,13 +218,14 @@ class ToolBox(StateConstraint):
         place = self._places(q)
         axes, origins = _joint_axes(self._model, q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
+        shares = self._model.link_shares
         for k in self._model.ancestors(self._link):
             speed = (
                 np.cross(axes[:, k], place - origins[:, k])
-                if self._model.joints[k].is_revolute
+                if self._model.moving_joints[k].is_revolute
                 else axes[:, k]
             )
-            gradient[:, :, k] = speed / self._half
+            gradient[:, :, self._model.link_joints[k]] += shares[k] * speed / self._half
         return gradient[..., None]
 
     def margin(self, q: Array) -> float:
@@ -272,10 +275,13 @@ def skeleton_distance(model: RobotModel, q: Array) -> float | None:
 
 
 def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return the direction of each joint axis and a point on it, both (N, n, 3), root frame."""
+    """Return the direction of each link's joint axis and a point on it, both (N, n_links, 3).
+
+    In the root frame.
+    """
     links = link_poses(model, q)
-    axes, origins = np.empty((len(q), model.n_joints, 3)), np.empty((len(q), model.n_joints, 3))
-    for k, joint in enumerate(model.joints):
+    axes, origins = np.empty((len(q), model.n_links, 3)), np.empty((len(q), model.n_links, 3))
+    for k, joint in enumerate(model.moving_joints):
         frame = (
             np.broadcast_to(joint.before, (len(q), 4, 4))
             if joint.parent == ROOT

@@ -455,14 +455,14 @@ def _gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | None:
     """Return the joints behind the first `count` if those are an arm and these its gripper.
 
     The arm is a chain of joints in order. The others hang on its last link, and are no continuation
-    of it: several hang on one link, or one slides or mimics another.
+    of it: several hang on one link, or all slide.
     """
     parents, rest = model.parents, model.joints[count:]
     chain = 0 < count < model.n_joints and parents[:count] == (ROOT, *range(count - 1))
-    behind = all(joint.parent >= count - 1 for joint in rest)
-    on = [joint.parent for joint in rest]
+    on = [joint.parent for joint in (*rest, *model.followers)]
+    behind = all(parent >= count - 1 for parent in on)
     branched = len(set(on)) < len(on)
-    slides = all(joint.mimic is not None or not joint.is_revolute for joint in rest)
+    slides = not any(joint.is_revolute for joint in rest)
     if not (chain and behind and (branched or slides)):
         return None
     return tuple(joint.name for joint in rest)

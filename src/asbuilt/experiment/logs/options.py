@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.description.locking import locks_from_text
 from asbuilt.description.model import USUAL_GRAVITY
+from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet

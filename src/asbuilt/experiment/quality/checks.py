@@ -10,8 +10,8 @@ from itertools import groupby
 
 import numpy as np
 
-from asbuilt.description.locking import lock_findings
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings

@@ -28,6 +28,8 @@ FRICTION_IMPEDANCE = 0.9999
 """Share of the force that stops a joint which MuJoCo applies as dry friction; 1 is rigid."""
 FRICTION_TIME = 0.002
 """Time constant of a joint that dry friction stops [s]."""
+RIGID = 1e-6
+"""Share of MuJoCo's softness that couplings of joints keep, so that they hold to about this."""
 SINGULAR = 1e-12
 """Ratio of the eigenvalues of a mass matrix below which it is singular."""
 STABLE = 2.0
@@ -104,10 +106,20 @@ class Physics:
         )
         self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         self.compiled.jnt_actfrclimited[:] = 0
-        names, ids = model.joint_names, self._mujoco.mj_name2id
-        self._order = np.array(
-            [ids(self.compiled, self._mujoco.mjtObj.mjOBJ_JOINT, name) for name in names]
+        ids = self._mujoco.mj_name2id
+        self._every = np.array(
+            [
+                ids(self.compiled, self._mujoco.mjtObj.mjOBJ_JOINT, joint.name)
+                for joint in model.moving_joints
+            ]
         )
+        self._order = self._every[:n]
+        self._shares, self._offsets = np.zeros((model.n_links, n)), np.zeros(model.n_links)
+        self._shares[np.arange(model.n_links), model.link_joints] = model.link_shares
+        if model.coupling is not None:
+            self._offsets[model.coupling.order] = model.coupling.offset
+        self.compiled.eq_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
+        self.compiled.eq_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
         self._bodies = [
             ids(self.compiled, self._mujoco.mjtObj.mjOBJ_BODY, name) for name in model.link_names
         ]
@@ -128,6 +140,8 @@ class Physics:
         self.data: Any = self._mujoco.MjData(self.compiled)
         with self.quiet():
             self._mujoco.mj_setConst(self.compiled, self.data)
+        coupled = np.append(np.arange(n, model.n_links), model.link_joints[n:])
+        self.compiled.dof_invweight0[self._every[coupled]] *= RIGID
 
     def _take_inertias(self, compiled: RobotModel) -> None:
         for k, link, placeholder in zip(
@@ -186,11 +200,12 @@ class Physics:
         torque = np.empty(states[0].shape)
         flags = self.compiled.opt.disableflags
         self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        data, order = self.data, self._order
+        data, every = self.data, self._every
         for k, (position, velocity, acceleration) in enumerate(zip(*states, strict=True)):
-            data.qpos[order], data.qvel[order], data.qacc[order] = position, velocity, acceleration
+            self._place(position, velocity)
+            data.qacc[every] = self._shares @ acceleration
             self._mujoco.mj_inverse(self.compiled, data)
-            torque[k] = data.qfrc_inverse[order]
+            torque[k] = data.qfrc_inverse[every] @ self._shares
         self.compiled.opt.disableflags = flags
         return torque
 
@@ -205,11 +220,12 @@ class Physics:
         acceleration, friction = np.empty(q.shape), np.empty(q.shape)
         data, order = self.data, self._order
         for k in range(len(q)):
-            data.qpos[order], data.qvel[order], data.qfrc_applied[order] = q[k], qd[k], tau[k]
+            self._place(q[k], qd[k])
+            data.qfrc_applied[order] = tau[k]
             self.rub(coulomb[k], viscous[k])
             self._mujoco.mj_forward(self.compiled, data)
             acceleration[k] = data.qacc[order]
-            friction[k] = -(data.qfrc_constraint + data.qfrc_passive)[order]
+            friction[k] = -(data.qfrc_constraint + data.qfrc_passive)[self._every] @ self._shares
         return acceleration, friction
 
     @property
@@ -220,7 +236,12 @@ class Physics:
     def start(self, q: ArrayLike, qd: ArrayLike) -> None:
         """Put the robot into a state (n,), at time 0 and without memory of earlier motion."""
         self._mujoco.mj_resetData(self.compiled, self.data)
-        self.data.qpos[self._order], self.data.qvel[self._order] = q, qd
+        self._place(np.asarray(q, dtype=np.float64), np.asarray(qd, dtype=np.float64))
+
+    def _place(self, q: Array, qd: Array) -> None:
+        """Put the joints of all links where the driven joints are at q with rates qd, two (n,)."""
+        self.data.qpos[self._every] = self._shares @ q + self._offsets
+        self.data.qvel[self._every] = self._shares @ qd
 
     @property
     def state(self) -> tuple[Array, Array]:

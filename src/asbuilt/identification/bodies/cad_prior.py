@@ -223,15 +223,15 @@ def _second_moment(inertia: Array) -> Array:
 
 def _joint_points(model: RobotModel, i: int) -> Array:
     """Return origins of the joints and frames of a link in link axes, shape (k, 3)."""
-    points = [np.linalg.inv(model.joints[i].after)[:3, 3]]
-    points += [joint.before[:3, 3] for joint in model.joints if joint.parent == i]
+    points = [np.linalg.inv(model.moving_joints[i].after)[:3, 3]]
+    points += [joint.before[:3, 3] for joint in model.moving_joints if joint.parent == i]
     points += [frame.placement[:3, 3] for frame in model.frames if frame.link == i]
     return np.array(points)
 
 
 def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
-    near = [masses[k] for k, joint in enumerate(model.joints) if joint.parent == i] + [
-        masses[j] for j in (model.joints[i].parent,) if j >= 0
+    near = [masses[k] for k, joint in enumerate(model.moving_joints) if joint.parent == i] + [
+        masses[j] for j in (model.parents[i],) if j >= 0
     ]
     known = [m for m in near if m > 0] or [m for m in masses if m > 0] or [1.0]
     return float(np.exp(np.mean(np.log(known))))

@@ -63,7 +63,7 @@ def claimed_numbers(
     """
     found: list[ClaimedNumber] = []
     count = 10 * model.n_links + drive.columns_per_joint * model.n_joints
-    for i, (link, joint) in enumerate(zip(model.links, model.joints, strict=True)):
+    for i, (link, joint) in enumerate(zip(model.links, model.moving_joints, strict=True)):
         known = link.inertia_known and link.inertia.mass > 0.0
         numbers = _of_link(link.inertia, tolerance) if known else _of_unknown_link()
         for what, unit, claimed, size, spread, change in numbers:

@@ -185,7 +185,8 @@ def _lost(q: Array) -> Mask:
 
 def _tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
     """Return the root mean square distance [m] between the tools of two poses (W, n)."""
-    if len(set(range(model.n_joints)) - set(model.parents)) != 1:
+    driven = {joint.parent for joint in model.joints}
+    if len(set(range(model.n_joints)) - driven) != 1:
         return None
     try:
         _, link, placement = payload_frame(model)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from asbuilt.description.locking import lock_findings
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.signal.samples import Samples

@@ -55,7 +55,6 @@ def exported_mjcf(model: RobotModel) -> str:
     if any(joint.drive.kp is not None for joint in plain.joints):
         next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
-    _add_mimics(root, model)
     for place, note in enumerate((*model.notes, *mjcf_notes(model))):
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
@@ -105,23 +104,6 @@ def _add_motors(root: Element, model: RobotModel) -> None:
             SubElement(tendon, "joint", joint=model.joints[k].name, coef=repr(float(shares[k])))
     if len(tendons):
         root.insert(list(root).index(next(root.iter("actuator"))), tendons)
-
-
-def _add_mimics(root: Element, model: RobotModel) -> None:
-    """Couple every joint that follows another by an equality constraint."""
-    followers = [joint for joint in model.joints if joint.mimic is not None]
-    equality = SubElement(root, "equality") if followers else None
-    for joint in followers:
-        assert equality is not None
-        assert joint.mimic is not None
-        polynomial = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
-        SubElement(
-            equality,
-            "joint",
-            joint1=joint.name,
-            joint2=joint.mimic.joint,
-            polycoef=" ".join(repr(float(value)) for value in polynomial),
-        )
 
 
 def _dry_friction(size: float) -> dict[str, str]:

@@ -35,10 +35,7 @@ def robot_toml(model: RobotModel) -> str:
         "" if model.drives_by_design else "drives_by_design = false",
     ]
     blocks = ["\n".join(line for line in head if line)]
-    blocks += [
-        _link_table(model, joint, link)
-        for joint, link in zip(model.joints, model.links, strict=True)
-    ]
+    blocks += [_link_table(model, model.moving_joints[k], model.links[k]) for k in model.link_order]
     if model.motor_coupling is not None:
         for name, row in zip(model.joint_names, model.motor_coupling, strict=True):
             turns = ", ".join(

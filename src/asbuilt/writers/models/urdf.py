@@ -42,8 +42,9 @@ def urdf_text(model: RobotModel) -> str:
         root.append(Comment(f" {_without_dashes(note)} "))
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
-    moved = [_shift(joint) for joint in model.joints]
-    for joint, link, shift in zip(in_plain_friction(model).joints, model.links, moved, strict=True):
+    moved = [_shift(joint) for joint in model.moving_joints]
+    joints = in_plain_friction(model).moving_joints
+    for joint, link, shift in zip(joints, model.links, moved, strict=True):
         _link(root, link, shift)
         parent = np.eye(4) if joint.parent == ROOT else moved[joint.parent]
         name = model.root_link if joint.parent == ROOT else model.links[joint.parent].name

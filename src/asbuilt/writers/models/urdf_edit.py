@@ -112,6 +112,8 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
         }
         if values:
             edits += _dynamics_edits(file, joints[joint.name], values)
+            for follower in _followers_of(model, joint.name):
+                edits += _without_friction(joints[follower], values)
             changed_joints.append(joint.name)
     edited = file.edited(edits)
     reread, literal = (
@@ -180,12 +182,15 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
             f"its joints are {', '.join(described.joint_names)}, the model's"
             f" {', '.join(model.joint_names)}"
         )
+    follow = [[joint.mimic for joint in robot.followers] for robot in (described, model)]
+    if follow[0] != follow[1]:
+        refuse("its joints follow others than the model's")
     if described.link_names != model.link_names:
         refuse(
             f"its moving links are {', '.join(described.link_names)}, the model's"
             f" {', '.join(model.link_names)}"
         )
-    for there, here in zip(described.joints, model.joints, strict=True):
+    for there, here in zip(described.moving_joints, model.moving_joints, strict=True):
         if there.parent != here.parent or there.is_revolute != here.is_revolute:
             refuse(
                 f"joint {here.name!r} is {there.kind} on link index {there.parent}, the model's"
@@ -240,6 +245,25 @@ def _dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[
     return [file.appended(joint, f"<{joint.named_as('dynamics')} {said}/>")]
 
 
+def _followers_of(model: RobotModel, joint: str) -> list[str]:
+    """Return the names of the joints that follow a joint."""
+    driven = model.link_joints[model.n_joints :]
+    return [
+        each.name
+        for each, k in zip(model.followers, driven, strict=True)
+        if model.joint_names[k] == joint
+    ]
+
+
+def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:
+    """Return edits that set the friction of a follower to 0: that of its driven joint holds it."""
+    dynamics = joint.first("dynamics")
+    if dynamics is None:
+        return []
+    there = {name: "0" for name in values if name in dynamics.attributes}
+    return attribute_edits(dynamics, there) if there else []
+
+
 def _difference(model: RobotModel, read: RobotModel) -> Array:
     q, qd, qdd = sample_states(model, 200)
     expected = inverse_dynamics(model, q, qd, qdd)
@@ -267,7 +291,9 @@ def _rounding_note(model: RobotModel, literal: Array) -> tuple[str, ...]:
 def _locked_alike(described: RobotModel, model: RobotModel) -> RobotModel:
     """Return a described robot with the joints locked that are locked in the model."""
     held = {
-        name: value for name, value in model.locked_joints.items() if name in described.joint_names
+        name: value
+        for name, value in model.locked_joints.items()
+        if name in {joint.name for joint in described.moving_joints}
     }
     return described.locked(held)
 

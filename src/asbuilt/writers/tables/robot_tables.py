@@ -74,7 +74,7 @@ def joints_table(model: RobotModel) -> Table:
     """List the joints: parent link, placement of the axis in it, limits and described drives."""
     rows: list[tuple[Cell, ...]] = []
     further = any(joint.drive.terms for joint in model.joints)
-    for joint in model.joints:
+    for joint in model.moving_joints:
         parent = model.root_link if joint.parent == ROOT else model.links[joint.parent].name
         degrees = 180.0 / math.pi if joint.is_revolute else 1.0
         limits = joint.limits
@@ -87,7 +87,7 @@ def joints_table(model: RobotModel) -> Table:
         rows.append(
             (
                 joint.name,
-                joint.kind,
+                joint.kind if joint.mimic is None else f"follows {joint.mimic.joint}",
                 parent,
                 _vector(joint.before[:3, 3]),
                 _vector(joint.before[:3, 2]),

@@ -48,25 +48,58 @@ class Mechanism:
     def __init__(self, model: RobotModel, *, at_rest: bool = False, steady: bool = False) -> None:
         """Take joint rates, or not `at_rest`, and accelerations, or not if `steady`."""
         self.model, self.code = model, StraightLine()
+        self.tree, self.coupling = model.tree, model.coupling
         n = model.n_joints
         self.q = [Term(1.0, f"q[{j}]") for j in range(n)]
         self.qd = [ZERO if at_rest else Term(1.0, f"qd[{j}]") for j in range(n)]
         still = at_rest or steady
         self.qdd = [ZERO if still else Term(1.0, f"qdd[{j}]") for j in range(n)]
-        turning = [joint.is_revolute for joint in model.joints]
-        self.cosine = [
-            self.code.given(f"cos(q[{j}])") if turns else ONE for j, turns in enumerate(turning)
-        ]
-        self.sine = [
-            self.code.given(f"sin(q[{j}])") if turns else ZERO for j, turns in enumerate(turning)
-        ]
+        self.link_q, self.link_qd, self.link_qdd = self.q, self.qd, self.qdd
+        if self.coupling is not None:
+            self.link_q = self.of_links(self.q, self.coupling.offset)
+            self.link_qd, self.link_qdd = self.of_links(self.qd), self.of_links(self.qdd)
+        turning = [joint.is_revolute for joint in self.tree.joints]
+        self.cosine, self.sine = (
+            [
+                self.code.given(f"{function}({angle.written()})", angle.name) if turns else still
+                for angle, turns in zip(self.link_q, turning, strict=True)
+            ]
+            for function, still in (("cos", ONE), ("sin", ZERO))
+        )
         self.motions: list[Motion] = []
-        for j, joint in enumerate(model.joints):
+        for j, joint in enumerate(self.tree.joints):
             self.motions.append(self._moved(j, joint))
 
+    def of_links(self, rates: list[Term], offset: Array | None = None) -> list[Term]:
+        """Return `E rates + offset` at the joints of the tree; `rates` themselves without E."""
+        if self.coupling is None:
+            return rates
+        found = []
+        for i, row in enumerate(self.coupling.matrix):
+            products = [(Term(float(row[k])), rates[k]) for k in np.flatnonzero(row)]
+            if offset is not None and offset[i]:
+                products.append((Term(float(offset[i])),))
+            found.append(self.code.total(*products) if products else ZERO)
+        return found
+
+    def of_joints(self, torques: list[Term]) -> list[Term]:
+        """Return `E^T torques` at the joints that have a drive."""
+        if self.coupling is None:
+            return torques
+        return [
+            self.code.total(*((Term(float(column[i])), torques[i]) for i in np.flatnonzero(column)))
+            for column in self.coupling.matrix.T
+        ]
+
+    def of_tree(self, parameters: Array) -> Array:
+        """Return inertial parameters (10 n_links,) in the order of the tree."""
+        if self.coupling is None:
+            return parameters
+        return self.coupling.parameters(parameters.reshape(-1, 10)).reshape(-1)
+
     def torques(self, parameters: Array) -> list[Term]:
-        """Return the torque of each joint for inertial parameters of shape (10 n,)."""
-        n = self.model.n_joints
+        """Return the torque of each joint for inertial parameters of shape (10 n_links,)."""
+        n, parameters = self.tree.n_joints, self.of_tree(parameters)
         carried: list[list[Wrench]] = [[] for _ in range(n)]
         torques = [ZERO] * n
         for j in reversed(range(n)):
@@ -75,12 +108,12 @@ class Mechanism:
                 self._added(own.force, *(w.force for w in carried[j])),
                 self._added(own.moment, *(w.moment for w in carried[j])),
             )
-            joint = self.model.joints[j]
+            joint = self.tree.joints[j]
             at_joint = self._out(joint.after, whole)
             torques[j] = at_joint.moment[2] if joint.is_revolute else at_joint.force[2]
             if joint.parent != ROOT:
                 carried[joint.parent].append(self._out(joint.before, self._unturned(j, at_joint)))
-        return torques
+        return self.of_joints(torques)
 
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
         """Return the nonzero entries (joint, position in `columns`) of the regressor."""
@@ -88,10 +121,14 @@ class Mechanism:
         entries = {}
         for position, column in enumerate(columns):
             link, parameter = divmod(column, 10)
+            if self.coupling is not None:
+                link = int(np.argsort(self.coupling.order)[link])
             wrench = self._inertial(self.motions[link], np.eye(10)[parameter])
+            found = [ZERO] * self.tree.n_joints
             for j, screw in screws[link].items():
                 pairs = zip(screw.z + screw.m, wrench.moment + wrench.force, strict=True)
-                entry = self.code.total(*pairs)
+                found[j] = self.code.total(*pairs)
+            for j, entry in enumerate(self.of_joints(found)):
                 if not entry.is_zero:
                     entries[j, position] = entry
         return entries
@@ -104,7 +141,8 @@ class Mechanism:
         )
         total, plus = self.code.total, self.code.sum
         at = self._into(joint.before, above)
-        q, v, dv, c, s = self.q[j], self.qd[j], self.qdd[j], self.cosine[j], self.sine[j]
+        q, v, dv = self.link_q[j], self.link_qd[j], self.link_qdd[j]
+        c, s = self.cosine[j], self.sine[j]
         if joint.is_revolute:
             w, dw, a = (self._turned(c, s, vector) for vector in (at.w, at.dw, at.a))
             turned = Motion(
@@ -152,12 +190,12 @@ class Mechanism:
 
     def _unturned(self, j: int, wrench: Wrench) -> Wrench:
         """Carry a wrench on the joint frame back over the motion of the joint."""
-        if self.model.joints[j].is_revolute:
+        if self.tree.joints[j].is_revolute:
             c, s = self.cosine[j], -self.sine[j]
             return Wrench(self._turned(c, s, wrench.force), self._turned(c, s, wrench.moment))
         fx, fy, _ = wrench.force
         nx, ny, nz = wrench.moment
-        q, total = self.q[j], self.code.total
+        q, total = self.link_q[j], self.code.total
         return Wrench(wrench.force, (total((nx,), (-q, fy)), total((ny,), (q, fx)), nz))
 
     def _inertial(self, motion: Motion, parameters: Array) -> Wrench:
@@ -182,7 +220,7 @@ class Mechanism:
     def _screws(self) -> list[dict[int, Screw]]:
         """Return for each link the screws of the joints that move it."""
         screws: list[dict[int, Screw]] = []
-        for j, joint in enumerate(self.model.joints):
+        for j, joint in enumerate(self.tree.joints):
             above = {} if joint.parent == ROOT else screws[joint.parent]
             axis: Vector = (ZERO, ZERO, ONE)
             moved = {
@@ -199,10 +237,10 @@ class Mechanism:
         )
 
     def _over(self, j: int, screw: Screw) -> Screw:
-        if self.model.joints[j].is_revolute:
+        if self.tree.joints[j].is_revolute:
             c, s = self.cosine[j], self.sine[j]
             return Screw(self._turned(c, s, screw.z), self._turned(c, s, screw.m))
-        (zx, zy, _), (mx, my, mz), q, total = screw.z, screw.m, self.q[j], self.code.total
+        (zx, zy, _), (mx, my, mz), q, total = screw.z, screw.m, self.link_q[j], self.code.total
         return Screw(screw.z, (total((mx,), (zy, q)), total((my,), (-zx, q)), mz))
 
     def _turned(self, c: Term, s: Term, v: Vector) -> Vector:

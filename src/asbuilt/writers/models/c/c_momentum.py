@@ -53,8 +53,9 @@ def mass_matrix_terms(
 def _carried(
     mechanism: Mechanism, parameters: Array, rates: list[Term]
 ) -> tuple[list[Term], list[Term]]:
-    model, code = mechanism.model, mechanism.code
-    n = model.n_joints
+    model, code = mechanism.tree, mechanism.code
+    n, parameters = model.n_joints, mechanism.of_tree(parameters)
+    rates = mechanism.of_links(rates)
     at_joint: list[Twist] = []
     of_link: list[Twist] = []
     for j, joint in enumerate(model.joints):
@@ -83,7 +84,7 @@ def _carried(
         )
         if joint.parent != ROOT:
             carried[joint.parent].append(mechanism._out(joint.before, mechanism._unturned(j, h)))
-    return momenta, gradient
+    return mechanism.of_joints(momenta), mechanism.of_joints(gradient)
 
 
 def _into(mechanism: Mechanism, placement: Array, twist: Twist) -> Twist:
@@ -102,11 +103,11 @@ def _into(mechanism: Mechanism, placement: Array, twist: Twist) -> Twist:
 def _moved(mechanism: Mechanism, j: int, at: Twist, rate: Term) -> Twist:
     """Return the twist beyond joint j, in its axes."""
     code = mechanism.code
-    if mechanism.model.joints[j].is_revolute:
+    if mechanism.tree.joints[j].is_revolute:
         c, s = mechanism.cosine[j], mechanism.sine[j]
         w, v = mechanism._turned(c, s, at.w), mechanism._turned(c, s, at.v)
         return Twist((w[0], w[1], code.sum(w[2], rate)), v)
-    q, (x, y, _), (vx, vy, vz) = mechanism.q[j], at.w, at.v
+    q, (x, y, _), (vx, vy, vz) = mechanism.link_q[j], at.w, at.v
     return Twist(at.w, (code.total((vx,), (y, q)), code.total((vy,), (-x, q)), code.sum(vz, rate)))
 
 

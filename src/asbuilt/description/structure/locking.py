@@ -10,8 +10,8 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.parts import ROOT, Frame, Joint, JointLimits, Link
 from asbuilt.description.rotation import composed, placement, rotation_z
+from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, Finding, joined
 
