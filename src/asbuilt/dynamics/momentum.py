@@ -39,17 +39,32 @@ def generalised_momentum(
         For shapes that do not fit, and values that are not finite.
     """
     qs, qds = joint_samples(model, q=q, qd=qd)
-    p, gradient = np.empty(qs.shape), np.empty(qs.shape)
-    chi = inertial_parameters(model, parameters)
-    if (coupling := model.coupling) is not None:
-        state = coupling.positions(qs), coupling.rates(qds)
-        in_tree = coupling.parameters(chi).reshape(-1)
-        p, gradient = map(
-            coupling.torques, generalised_momentum(model.tree, *state, parameters=in_tree)
-        )
-        return p.reshape(np.shape(q)), gradient.reshape(np.shape(q))
-    kernels.momentum(*mechanism_of(model), chi, qs, qds, p, gradient)
+    p, gradient = Momentum(model, inertial_parameters(model, parameters))(qs, qds)
     return p.reshape(np.shape(q)), gradient.reshape(np.shape(q))
+
+
+class Momentum:
+    """Evaluate `p = M(q) qd` and `C(q, qd)^T qd` of states (N, n) that are trusted.
+
+    `chi` (n_links, 10) are the inertial parameters; the states are contiguous doubles.
+    """
+
+    def __init__(self, model: RobotModel, chi: Array) -> None:
+        self._coupling = model.coupling
+        self._mechanism = mechanism_of(model.tree)
+        self._chi = np.ascontiguousarray(
+            chi if self._coupling is None else self._coupling.parameters(chi)
+        )
+
+    def __call__(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return p and the gradient of kinetic energy, two (N, n)."""
+        coupling = self._coupling
+        state = (q, qd) if coupling is None else (coupling.positions(q), coupling.rates(qd))
+        p, gradient = np.empty(state[0].shape), np.empty(state[0].shape)
+        kernels.momentum(*self._mechanism, self._chi, *state, p, gradient)
+        if coupling is None:
+            return p, gradient
+        return coupling.torques(p), coupling.torques(gradient)
 
 
 @lru_cache(maxsize=16)

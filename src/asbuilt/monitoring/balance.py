@@ -1,7 +1,5 @@
 """What enters the balance of momentum of a robot besides the torques of the drives."""
 
-# mypy: allow-untyped-calls
-
 from __future__ import annotations
 
 import numpy as np
@@ -9,8 +7,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.kernels import momentum as kernels
-from asbuilt.dynamics.momentum import mechanism_of
+from asbuilt.dynamics.momentum import Momentum
 from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -35,16 +32,13 @@ class MomentumBalance:
         self._ends = velocity_error * np.array([[-1.0], [1.0]])
         model, n = torque.model, torque.model.n_joints
         self.armature = armature_matrix(torque)
-        self._chi = np.ascontiguousarray(torque.parameters.reshape(n, 10))
-        self._mechanism = mechanism_of(model)
+        self._momentum = Momentum(model, torque.parameters.reshape(-1, 10))
         self._rigid = TorqueModel(model, parameters=torque.parameters)
         self._rest = np.zeros(n)
-        self._out = np.empty((2, 1, n))
 
     def of_sample(self, q: Array, qd: Array) -> tuple[Array, Array, Array]:
         """Return `p`, `b`, two (n,), and f (2, n) of one sample, from contiguous float64."""
-        p, gradient = self._out
-        kernels.momentum(*self._mechanism, self._chi, q[None], qd[None], p, gradient)
+        p, gradient = self._momentum(q[None], qd[None])
         ends = qd + self._ends if self._ends.any() else qd[None]
         friction = np.empty((2, q.size))
         for k, v in enumerate(ends):
@@ -53,8 +47,7 @@ class MomentumBalance:
 
     def of_samples(self, q: Array, qd: Array) -> tuple[Array, Array, Array]:
         """Return `p`, `b`, two (N, n), and f (2, N, n) of samples (N, n)."""
-        p, gradient = np.empty(q.shape), np.empty(q.shape)
-        kernels.momentum(*self._mechanism, self._chi, q, qd, p, gradient)
+        p, gradient = self._momentum(q, qd)
         ends = [qd + end for end in self._ends] if self._ends.any() else [qd]
         friction = np.empty((2, *q.shape))
         for k, v in enumerate(ends):

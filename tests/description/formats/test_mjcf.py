@@ -164,10 +164,11 @@ def test_equality_constraints_are_noted():
         "</mujoco>", '<equality><joint joint1="swing" joint2="twist"/></equality></mujoco>'
     )
     model = read_mjcf(text)
-    swing = model.joints[model.joint_names.index("swing")]
+    (swing,) = model.followers
+    assert (swing.name, "swing" in model.joint_names) == ("swing", False)
     assert swing.mimic is not None
     assert (swing.mimic.joint, swing.mimic.multiplier) == ("twist", 1.0)
-    assert any("mimics 'twist'" in note for note in model.notes)
+    assert any("follows 'twist'" in note for note in model.notes)
     curved = text.replace('joint2="twist"', 'joint2="twist" polycoef="0 1 2 0 0"')
     assert any("equality constraints" in note for note in read_mjcf(curved).notes)
 

@@ -417,7 +417,8 @@ class _Tree:
                 or not m.eq_active0[k]
                 or other < 0
                 or np.any(coefficients[2:])
-                or any(self.joints[j].mimic is not None for j in (one, other))
+                or self.joints[one].mimic is not None
+                or self.joints[one].name in self._chain(other)
             ):
                 continue
             zero, master = (float(m.qpos0[m.jnt_qposadr[j]]) for j in (one, other))
@@ -427,6 +428,16 @@ class _Tree:
             self.joints[one] = replace(self.joints[one], mimic=followed)
             taken += 1
         return int(m.neq) - taken
+
+    def _chain(self, index: int) -> list[str]:
+        """Return the names of a joint and of those that it follows."""
+        by_name = {joint.name: joint for joint in self.joints}
+        joint = self.joints[index]
+        names = [joint.name]
+        while joint.mimic is not None:
+            joint = by_name[joint.mimic.joint]
+            names.append(joint.name)
+        return names
 
     def link(self, index: int) -> Link:
         name, parts = self.names[index], self.parts[index]

@@ -141,9 +141,11 @@ def find_layout(
     joint_names = tuple(labels)
     if model is not None:
         joint_names, places, matched = _order_for(model, source, labels, position, sheet)
+        beside_joints = _of_followers(model, labels, ordered)
         ordered = {
             quantity: tuple(columns[k] for k in places) for quantity, columns in ordered.items()
         }
+        ordered |= beside_joints
         notes.extend(matched)
     scales = _scales(chosen, sheet, notes)
     time, time_scale = _time_column(source, names, order, groups, sheet)
@@ -424,17 +426,37 @@ def _aligned(
     )
 
 
+def _of_followers(
+    model: RobotModel, labels: Sequence[str], ordered: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
+    """Return the columns of position and torque of joints that follow others, by their names."""
+    symbols = {"position": "q", "torque": "tau"}
+    return {
+        f"{symbol}_{joint.name}": (ordered[quantity][labels.index(joint.name)],)
+        for joint in model.followers
+        for quantity, symbol in symbols.items()
+        if joint.name in labels and quantity in ordered
+    }
+
+
 def _order_for(
     model: RobotModel, source: str, labels: Sequence[str], position: _Group, sheet: RecordingSheet
 ) -> tuple[tuple[str, ...], list[int], tuple[str, ...]]:
     named = sheet.joints is not None or all(role.joint for role in position.roles)
     if named and len(labels) > 1:
-        order, notes = match_joints(labels, model.joint_names, source=source, robot=model.name)
-        return model.joint_names, order, notes
+        following = {joint.name for joint in model.followers}
+        own = [k for k, label in enumerate(labels) if label not in following]
+        order, notes = match_joints(
+            [labels[k] for k in own], model.joint_names, source=source, robot=model.name
+        )
+        return model.joint_names, [own[k] for k in order], notes
     if len(labels) != model.n_joints:
         missing = joints_without_label(labels, model.joint_names) if named else None
         beyond = ", ".join(model.joint_names[len(labels) :])
         more = f"; joints that the log lacks can be locked: {beyond}" if beyond else ""
+        if model.followers:
+            following = ", ".join(joint.name for joint in model.followers)
+            more += f"; joints that follow others have no column: {following}"
         raise RecordingError(
             f"{source} has {len(labels)} position columns ({position.names[0]} ..."
             f" {position.names[-1]}) but {model.name} has {model.n_joints} joints"

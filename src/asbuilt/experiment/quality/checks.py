@@ -15,6 +15,7 @@ from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
+from asbuilt.experiment.quality.coupling_checks import coupling_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import (
     FirstPass,
@@ -234,6 +235,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += unsigned_findings(known.torque_range, beginning)
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
+        findings += coupling_findings(model, beginning)
     findings += lock_findings(model.locked_joints, model.held_followers)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(

@@ -140,7 +140,7 @@ class Physics:
         self.data: Any = self._mujoco.MjData(self.compiled)
         with self.quiet():
             self._mujoco.mj_setConst(self.compiled, self.data)
-        coupled = np.append(np.arange(n, model.n_links), model.link_joints[n:])
+        coupled = [*range(n, model.n_links), *model.link_joints[n:]]
         self.compiled.dof_invweight0[self._every[coupled]] *= RIGID
 
     def _take_inertias(self, compiled: RobotModel) -> None:

@@ -61,7 +61,11 @@ class Mechanism:
         turning = [joint.is_revolute for joint in self.tree.joints]
         self.cosine, self.sine = (
             [
-                self.code.given(f"{function}({angle.written()})", angle.name) if turns else still
+                (
+                    self.code.given(f"{function}({angle.written()})", *_defined(angle))
+                    if turns
+                    else still
+                )
                 for angle, turns in zip(self.link_q, turning, strict=True)
             ]
             for function, still in (("cos", ONE), ("sin", ZERO))
@@ -262,6 +266,11 @@ class Mechanism:
     def _added(self, *vectors: Vector) -> Vector:
         x, y, z = (self.code.sum(*parts) for parts in zip(*vectors, strict=True))
         return x, y, z
+
+
+def _defined(angle: Term) -> tuple[str, ...]:
+    """Return the variable that an angle is made of, nothing for an argument of the function."""
+    return () if not angle.name or angle.name.startswith("q[") else (angle.name,)
 
 
 def _numbers(values: Array) -> tuple[Term, ...]:
