@@ -318,6 +318,18 @@ class RobotModel:
         alone = np.count_nonzero(T, axis=1) <= 1
         return np.where(alone[:, None], 0.0, T)
 
+    def link_positions(self, q: Array) -> Array:
+        """Return the positions (..., n_links) of the joints of all links, for q (..., n_joints)."""
+        return q if self.coupling is None else self._of_links(self.coupling.positions(q))
+
+    def link_rates(self, qd: Array) -> Array:
+        """Return the velocities (..., n_links) of the joints of all links."""
+        return qd if self.coupling is None else self._of_links(self.coupling.rates(qd))
+
+    def _of_links(self, of_tree: Array) -> Array:
+        assert self.coupling is not None
+        return np.asarray(of_tree[..., np.argsort(self.coupling.order)])
+
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the links from the root to that of `joint`, itself included, in order."""
         chain: list[int] = []

@@ -34,10 +34,7 @@ THRESHOLDS = CouplingThresholds()
 
 def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
-    if model.coupling is None:
-        return
-    placed = np.empty((recording.n_samples, model.n_links))
-    placed[:, model.coupling.order] = model.coupling.positions(np.asarray(recording.q))
+    placed = model.link_positions(recording.q)
     for k, joint in enumerate(model.followers, start=model.n_joints):
         master = model.joint_names[model.link_joints[k]]
         logged = recording.extra.get(f"q_{joint.name}")

@@ -28,8 +28,10 @@ FRICTION_IMPEDANCE = 0.9999
 """Share of the force that stops a joint which MuJoCo applies as dry friction; 1 is rigid."""
 FRICTION_TIME = 0.002
 """Time constant of a joint that dry friction stops [s]."""
-RIGID = 1e-6
-"""Share of MuJoCo's softness that couplings of joints keep, so that they hold to about this."""
+RIGID = 1e-4
+"""Share of MuJoCo's softness that couplings of joints keep: accelerations to 1e-4; dry friction of
+the joint that is followed, which shares it, needs no less.
+"""
 SINGULAR = 1e-12
 """Ratio of the eigenvalues of a mass matrix below which it is singular."""
 STABLE = 2.0
@@ -114,10 +116,7 @@ class Physics:
             ]
         )
         self._order = self._every[:n]
-        self._shares, self._offsets = np.zeros((model.n_links, n)), np.zeros(model.n_links)
-        self._shares[np.arange(model.n_links), model.link_joints] = model.link_shares
-        if model.coupling is not None:
-            self._offsets[model.coupling.order] = model.coupling.offset
+        self._shares = model.link_rates(np.eye(n)).T
         self.compiled.eq_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
         self.compiled.eq_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
         self._bodies = [
@@ -233,6 +232,11 @@ class Physics:
         """Index of each joint's degree of freedom in the compiled model, shape (n,)."""
         return self._order
 
+    @property
+    def every(self) -> Indices:
+        """Index of the degree of freedom of each link's joint in the compiled model (n_links,)."""
+        return self._every
+
     def start(self, q: ArrayLike, qd: ArrayLike) -> None:
         """Put the robot into a state (n,), at time 0 and without memory of earlier motion."""
         self._mujoco.mj_resetData(self.compiled, self.data)
@@ -240,8 +244,8 @@ class Physics:
 
     def _place(self, q: Array, qd: Array) -> None:
         """Put the joints of all links where the driven joints are at q with rates qd, two (n,)."""
-        self.data.qpos[self._every] = self._shares @ q + self._offsets
-        self.data.qvel[self._every] = self._shares @ qd
+        self.data.qpos[self._every] = self.model.link_positions(q)
+        self.data.qvel[self._every] = self.model.link_rates(qd)
 
     @property
     def state(self) -> tuple[Array, Array]:

@@ -86,6 +86,7 @@ class _Engine:
             extend=extend,
         )
         self.compiled, self.order = self.physics.compiled, self.physics.order
+        self.every = self.physics.every
         option, bits = self.compiled.opt, self.mujoco.mjtDisableBit
         option.timestep, option.integrator = step, self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         option.disableflags &= ~int(bits.mjDSBL_ACTUATION)
@@ -94,13 +95,14 @@ class _Engine:
     def in_threads(self, windows: Windows) -> tuple[Array, Array]:
         """Return positions and velocities after every step, two (W, n_steps, n)."""
         rollout, state = import_module("mujoco.rollout"), self.mujoco.mjtState
-        n, size = (
-            len(self.order),
+        model, n, size = (
+            self.robot.model,
+            len(self.every),
             self.mujoco.mj_stateSize(self.compiled, state.mjSTATE_FULLPHYSICS),
         )
         start = np.zeros((windows.n_windows, size))
-        start[:, 1 + self.order] = windows.start_q
-        start[:, 1 + n + self.order] = windows.start_qd
+        start[:, 1 + self.every] = model.link_positions(windows.start_q)
+        start[:, 1 + n + self.every] = model.link_rates(windows.start_qd)
         control = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
         data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
         with rollout.Rollout(nthread=len(data)) as pool:
@@ -119,7 +121,8 @@ class _Engine:
         n_controls = self.compiled.nu
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
         for run, q, qd in zip(runs, windows.start_q, windows.start_qd, strict=True):
-            run.qpos[self.order], run.qvel[self.order] = q, qd
+            run.qpos[self.every] = self.robot.model.link_positions(q)
+            run.qvel[self.every] = self.robot.model.link_rates(qd)
         shape = (windows.n_windows, windows.n_steps, len(self.order))
         positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)
@@ -150,7 +153,7 @@ class _Engine:
 
     def _forces(self, inputs: Array) -> Array:
         """Return controls and generalised forces of every step."""
-        forces = np.zeros((*inputs.shape[:2], self.compiled.nu + len(self.order)))
+        forces = np.zeros((*inputs.shape[:2], self.compiled.nu + len(self.every)))
         applied = self.compiled.nu + self.order
         forces[..., applied] = -self.offset
         if self.robot.servo is None:

@@ -71,11 +71,15 @@ class Branch:
 class Trajectories:
     """Simulate windows of a robot, and derive the motion by its parameters.
 
-    The parameters are its base parameters, then kp and kd of every joint, then the delay.
+    The parameters are its base parameters, then kp and kd of every joint, then the delay. Raises
+    `DescriptionError` for a robot with joints that follow others.
     """
 
     model: RobotModel
     base: BaseParameters
+
+    def __post_init__(self) -> None:
+        layout_of(self.model)
 
     @property
     def n_parameters(self) -> int:

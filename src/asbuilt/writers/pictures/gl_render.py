@@ -57,13 +57,13 @@ def rendered_frames(view: MotionView, context: Any, width: int, height: int) -> 
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, resources)
     window = mujoco.MjrRect(0, 0, w, h)
     order = [
-        mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_JOINT, name)
-        for name in view.model.joint_names
+        mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_JOINT, joint.name)
+        for joint in view.model.moving_joints
     ]
     image = np.empty((h, w, 3), dtype=np.uint8)
     try:
         for q in view.q:
-            data.qpos[order] = q
+            data.qpos[order] = view.model.link_positions(q)
             mujoco.mj_kinematics(compiled, data)
             mujoco.mj_camlight(compiled, data)
             mujoco.mjv_updateScene(
