@@ -87,7 +87,8 @@ def regressor_adjoint(
         position, *others = regressor_adjoint(
             plan.tree.plan,
             coupling.positions(states[0]),
-            *(coupling.rates(state) for state in states[1:]),
+            coupling.rates(states[1]),
+            coupling.rates(states[2]),
             of_tree,
             None if loads is None else coupling.rates(lam),
             coupling.parameters(chi).reshape(-1),

@@ -75,9 +75,8 @@ def torque_derivatives(
         state = coupling.positions(qs), coupling.rates(qds), coupling.rates(qdds)
         in_tree = coupling.parameters(sets.reshape(len(sets), -1, 10)).reshape(len(sets), -1)
         of_tree = torque_derivatives(model.tree, *state, in_tree)
-        return np.einsum(
-            "ik,abijo,jl->abklo", coupling.matrix, of_tree, coupling.matrix, optimize=True
-        )
+        E = coupling.matrix
+        return np.asarray(np.einsum("ik,abijo,jl->abklo", E, of_tree, E, optimize=True))
     layout = layout_of(model)
     out = np.zeros((samples, len(sets), n, n, 3))
     chi = np.ascontiguousarray(sets).reshape(len(sets), n, 10)

@@ -455,8 +455,8 @@ def _order_for(
         beyond = ", ".join(model.joint_names[len(labels) :])
         more = f"; joints that the log lacks can be locked: {beyond}" if beyond else ""
         if model.followers:
-            following = ", ".join(joint.name for joint in model.followers)
-            more += f"; joints that follow others have no column: {following}"
+            names = ", ".join(joint.name for joint in model.followers)
+            more += f"; joints that follow others have no column: {names}"
         raise RecordingError(
             f"{source} has {len(labels)} position columns ({position.names[0]} ..."
             f" {position.names[-1]}) but {model.name} has {model.n_joints} joints"

@@ -80,7 +80,9 @@ class Mechanism:
             return rates
         found = []
         for i, row in enumerate(self.coupling.matrix):
-            products = [(Term(float(row[k])), rates[k]) for k in np.flatnonzero(row)]
+            products: list[tuple[Term, ...]] = [
+                (Term(float(row[k])), rates[k]) for k in np.flatnonzero(row)
+            ]
             if offset is not None and offset[i]:
                 products.append((Term(float(offset[i])),))
             found.append(self.code.total(*products) if products else ZERO)
