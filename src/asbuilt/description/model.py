@@ -241,7 +241,9 @@ class RobotModel:
     @cached_property
     def coupling(self) -> Coupling | None:
         """How the joints of all links move with those that have a drive, None if all have one."""
-        return coupling_of(self) if self.followers else None
+        if not self.followers:
+            return None
+        return coupling_of(self.name, self.joints, self.followers)
 
     @cached_property
     def tree(self) -> RobotModel:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from asbuilt.description.structure.parts import (
     Link,
 )
 from asbuilt.errors import DescriptionError
-
-if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,14 +171,14 @@ def tree_order(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
     return order
 
 
-def coupling_of(model: RobotModel) -> Coupling:
+def coupling_of(robot: str, joints: Sequence[Joint], followers: Sequence[Joint]) -> Coupling:
     """Return how the links of a robot move with its driven joints."""
-    every = model.moving_joints
-    order = np.array(model.link_order, dtype=np.int64)
-    matrix, offset = np.zeros((len(every), model.n_joints)), np.zeros(len(every))
+    every, names = (*joints, *followers), [joint.name for joint in joints]
+    order = np.array(tree_order(robot, every, len(joints)), dtype=np.int64)
+    matrix, offset = np.zeros((len(every), len(joints))), np.zeros(len(every))
     for i, link in enumerate(order.tolist()):
-        master, multiplier, offset[i] = followed(model.name, every[link], every)
-        matrix[i, model.joint_names.index(master)] = multiplier
+        master, multiplier, offset[i] = followed(robot, every[link], every)
+        matrix[i, names.index(master)] = multiplier
     for array in (order, matrix, offset):
         array.setflags(write=False)
     return Coupling(order, matrix, offset)
