@@ -81,7 +81,8 @@ class Site:
         near = (np.abs(seen.residual) > least).any(axis=1)
         known = bounded(seen)[near]
         model = self.error.std(seen.q[near], seen.qd[near], seen.qdd[near])
-        limit = known + np.hypot(least[near] - known, limits.level * model)
+        added = limits.level * limits.model_part * model
+        limit = known + np.hypot(least[near] - known, added)
         beyond = seen.t[near][(np.abs(seen.residual[near]) > limit).any(axis=1)]
         return int(np.sum(np.diff(beyond, prepend=-np.inf) > limits.block_seconds))
 
