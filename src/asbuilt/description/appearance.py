@@ -57,7 +57,7 @@ def link_solids(model: RobotModel) -> tuple[Solid, ...]:
     A rod along each link to whatever hangs on it, and a housing around each joint axis.
 
     Radii come from the length of the stretched robot and shrink towards the tip. They are for the
-    eye alone: no mass, no collision.
+    eye alone: no collision.
     """
     return tuple(_solids(model))
 

@@ -229,6 +229,19 @@ def test_the_scale_of_a_gravity_torque_is_doubted(iiwa: RobotModel, clean: Recor
     assert found.cure.call == "find_gains"
 
 
+@pytest.mark.parametrize("name", ["franka-panda", "so-101", "puma-560"])
+def test_the_scale_of_torques_is_doubted_without_masses(name: str) -> None:
+    known = bundled_robot(name)
+    recording = record(known, 3)
+    model = known.with_parameters(np.zeros(10 * known.n_links))
+    assert "torque_scale" not in check_recording(model, recording).codes
+    lost = finding(model, replace(recording, tau=recording.tau / 60), "torque_scale")
+    assert (lost.severity, lost.cure.call) == ("warning", "find_gains")
+    assert "mN m" in str(
+        finding(model, replace(recording, tau=recording.tau * 1e3), lost.code).cure
+    )
+
+
 def test_missing_values(iiwa: RobotModel, clean: Recording) -> None:
     tau, q = clean.tau.copy(), clean.q.copy()
     tau[123, 4] = np.nan

@@ -13,6 +13,7 @@ from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.torque.gravity_direction import gravity_finding
 from asbuilt.experiment.quality.torque.joint_convention import convention_finding
+from asbuilt.experiment.quality.torque.stand_in import scale_without_masses
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment
 from asbuilt.experiment.quality.torque.torque_order import swapped_torques
 from asbuilt.findings import Cure, Finding, Severity, joined
@@ -61,10 +62,13 @@ def torque_findings(
         yield Finding(
             "no_inertia",
             "info",
-            f"{model.name} has no inertial parameters, or none that act in this motion; sign, scale"
-            " and order of the torques were not checked",
+            f"{model.name} has no inertial parameters, or none that act in this motion; sign"
+            " and order of the torques were not checked, their scale only by the length of the arm",
             Cure("use a description with masses to have them checked"),
         )
+        scale = scale_without_masses(fit)
+        if scale is not None:
+            yield scale
         return
     ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
     if ratio == 0:

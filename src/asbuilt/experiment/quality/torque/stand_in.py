@@ -1,0 +1,94 @@
+"""Scale of the torques of a robot without masses, from arms of the same length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.description.appearance import link_solids, stretched_length
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
+from asbuilt.findings import Cure, Finding
+
+
+@dataclass(frozen=True, slots=True)
+class StandInThresholds:
+    """Say when torques are not those of an arm of this length.
+
+    Mass of arms grows with the third power of length. The density [kg/m^3] of rods
+    `stretched_length` wide is 2 to 16 for the descriptions of twelve arms whose gravity makes 0.4
+    to 65 N m vary, 50 for a geared one; recordings of seven real arms in N m give 1.7 to 87.
+    """
+
+    density: tuple[float, float] = (0.5, 800.0)
+    """Densities that a robot may have: a quarter of the lightest, nine times the heaviest."""
+    correlation: float = 0.7
+    """Correlation of the largest torque with that of the rods from which its scale is clear."""
+    gravity: float = 0.8
+    """Least share of gravity in that torque."""
+
+
+THRESHOLDS = StandInThresholds()
+
+
+def stand_in(model: RobotModel) -> RobotModel:
+    """Return the robot with thin rods for links.
+
+    Mass [kg] is `length * stretched_length(model)**2`, that is 1 kg/m^3.
+    """
+    bodies = [LinkInertia.zero() for _ in range(model.n_links)]
+    for solid in link_solids(model):
+        if solid.link == ROOT or solid.kind != "rod":
+            continue
+        span = solid.stop - solid.start
+        mass = solid.length * stretched_length(model) ** 2
+        inertia = mass / 12.0 * (span @ span * np.eye(3) - np.outer(span, span))
+        rod = LinkInertia.from_com(mass, 0.5 * (solid.start + solid.stop), inertia)
+        bodies[solid.link] = bodies[solid.link] + rod
+    return model.with_parameters(np.concatenate([body.parameters for body in bodies]))
+
+
+def implied_density(fit: TorqueFit) -> float | None:
+    """Return the density of rods [kg/m^3] whose torques are as large as the measured ones.
+
+    None where the torques are not mostly gravity's, or unlike those of rods.
+    """
+    rods = replace(fit, model=stand_in(fit.model))
+    predicted = rods.predicted
+    k = int(np.argmax(predicted))
+    if not predicted[k] > 0 or rods.gravity[k] < THRESHOLDS.gravity * predicted[k]:
+        return None
+    if abs(rods.correlation[k]) < THRESHOLDS.correlation:
+        return None
+    return float(np.linalg.norm(rods.measured) / np.linalg.norm(predicted))
+
+
+def scale_without_masses(fit: TorqueFit) -> Finding | None:
+    """Return a finding where no robot of this length has torques of this size."""
+    density = implied_density(fit)
+    if density is None:
+        return None
+    low, high = THRESHOLDS.density
+    if low < density < high:
+        return None
+    length = stretched_length(fit.model)
+    bound = (
+        f"more than {low * length**3:.2g}" if density < low else f"less than {high * length**3:.0f}"
+    )
+    cure = Cure(
+        "give the torque per logged unit, one per joint, as gains = [...] in a recording sheet; a"
+        " payload of known mass determines it",
+        call="find_gains",
+    )
+    if density > high:
+        cure = Cure('write units = { torque = "mN m" } in a recording sheet, or the unit it has')
+    return Finding(
+        "torque_scale",
+        "warning",
+        f"the torques look not to be N m: gravity's share of them fits an arm of about"
+        f" {density * length**3:.2g} kg, and arms of this length ({length:.2g} m stretched) weigh"
+        f" {bound} kg; masses and torques come out in the logged unit",
+        cure,
+    )
