@@ -50,6 +50,16 @@ def test_a_sensor_that_fails_midway_is_named(joint: int) -> None:
     assert found == {MODEL.joint_names[joint]}
 
 
+@pytest.mark.parametrize(("joint", "torque"), [(1, 40.0), (2, -25.0)])
+def test_a_contact_of_a_fraction_of_the_torque_is_named(joint: int, torque: float) -> None:
+    recording = log()
+    tau = np.array(recording.tau)
+    tau[(recording.t > 12.0) & (recording.t < 16.0), joint] += torque
+    (finding,) = findings(replace(recording, tau=tau))
+    assert finding.joint == MODEL.joint_names[joint]
+    assert "most of it from 1" in finding.message
+
+
 def test_a_push_is_named_with_its_time() -> None:
     recording = log()
     tau = np.array(recording.tau)

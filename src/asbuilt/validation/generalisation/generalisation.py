@@ -14,6 +14,7 @@ from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
 from asbuilt.validation.generalisation.standstill import RestingErrors, resting_errors
+from asbuilt.validation.log_errors.unexplained import when_large
 from asbuilt.validation.prediction import Validation
 
 
@@ -53,9 +54,12 @@ LIMITS = GeneralisationLimits()
 
 
 def validation_findings(
-    train: TorqueMetrics, validations: Sequence[Validation]
+    train: TorqueMetrics, validations: Sequence[Validation], *, refitted: bool = False
 ) -> tuple[Finding, ...]:
-    """Return what predictions of validation data say beside the training error."""
+    """Return what predictions of validation data say beside the training error of the same fit.
+
+    `refitted` says that the training errors shown elsewhere are those of another, final fit.
+    """
     if not validations:
         return (
             Finding(
@@ -70,7 +74,7 @@ def validation_findings(
     return _named_once(
         (recording_name(validation.source), finding)
         for validation in validations
-        for finding in (*_generalisation(train, validation), *_rest(validation))
+        for finding in (*_generalisation(train, validation, refitted), *_rest(validation))
     )
 
 
@@ -136,7 +140,9 @@ def _held(errors: RestingErrors) -> NDArray[np.bool_]:
     )
 
 
-def _generalisation(train: TorqueMetrics, validation: Validation) -> Iterator[Finding]:
+def _generalisation(
+    train: TorqueMetrics, validation: Validation, refitted: bool
+) -> Iterator[Finding]:
     built, cad = validation.metrics_as_built, validation.metrics_cad
     source, rest = recording_name(built.source), resting_errors(validation)
     error = np.where(_held(rest), rest.moving, built.rms)
@@ -150,12 +156,15 @@ def _generalisation(train: TorqueMetrics, validation: Validation) -> Iterator[Fi
         (error > LIMITS.overfit * train.rms) & (built.relative_error_per_joint > LIMITS.noticeable)
     )
     if worse.size:
+        whose = "; training errors elsewhere are of the final fit to everything" if refitted else ""
         yield Finding(
             "does_not_generalise",
             "warning",
-            f"Torque errors on {source} exceed {LIMITS.overfit:g} times those on the training data"
-            f" ({listed(worse, error, train)}): the recording is too short or too little varied for"
-            " so many parameters",
+            f"Torque errors on {source} exceed {LIMITS.overfit:g} times those of the same fit on"
+            f" its training data ({listed(worse, error, train)}{whose})"
+            f"{_times(validation, worse)}: the recording is too short or too little varied for so"
+            " many parameters, or something"
+            " acted then that the model lacks",
             Cure("record longer, add recordings, or use fewer drive terms"),
         )
     behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
@@ -166,3 +175,13 @@ def _generalisation(train: TorqueMetrics, validation: Validation) -> Iterator[Fi
             f"CAD predicts {source} better than the fit at {listed(behind, built.rms, cad)}",
             Cure("record longer, or regularise toward CAD", {"method": "ridge"}),
         )
+
+
+def _times(validation: Validation, joints: NDArray[np.int64]) -> str:
+    """Return when the errors of joints are large, where most of them come at one time."""
+    said = [
+        f"{validation.joint_names[k]} {text.removeprefix(', ')}"
+        for k in joints
+        if (text := when_large(validation.t, validation.error[:, k]))
+    ]
+    return f"; {joined(said)}" if said else ""

@@ -132,7 +132,7 @@ def _validation_findings(
     if not validations and any(each.code == "nothing_held_out" for each in further):
         return ()
     of_training = fits.validated.metrics(fits.prepared.training)[0] if fits.refitted else train
-    return validation_findings(of_training, validations)
+    return validation_findings(of_training, validations, refitted=fits.refitted)
 
 
 def _model_findings(
