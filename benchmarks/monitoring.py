@@ -42,7 +42,7 @@ CHUNK = 600.0
 """Seconds of a virtual motion that are held at once."""
 PROMISED = 1.0
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "puma-560", "scara")
-"""The rule of the thresholds was settled on the iiwa and the Panda."""
+"""The form of the thresholds was settled on the iiwa and the Panda; the others are held out."""
 CONTACTS = 60
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from datetime import date
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 from markupsafe import Markup
 
 from asbuilt.tables import share
 from asbuilt.validation.comparison.significance import probability_text
-from asbuilt.workflow.fleet.drift.drift import FleetDrift, RobotDrift
+from asbuilt.workflow.fleet.drift.drift import FleetDrift, RobotDrift, TypeVariation
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import page
 from asbuilt.writers.reports.report_verdict import Card
@@ -70,7 +72,16 @@ def fleet_html(drift: FleetDrift) -> str:
         verdict=drift_verdict(drift),
         findings=drift.findings,
         rows=[_row(each) for each in order],
-        types=drift.types,
+        types=[(each, _torque_text(each)) for each in drift.types],
+    )
+
+
+def _torque_text(kind: TypeVariation) -> str:
+    """Return the torque of each joint, neighbours of the same unit followed by it once."""
+    each = zip(kind.torque_units, kind.torque, strict=True)
+    return ", ".join(
+        ", ".join(f"{torque:.2g}" for _, torque in some) + f" {unit}"
+        for unit, some in groupby(each, key=itemgetter(0))
     )
 
 

@@ -152,6 +152,10 @@ def test_page_shows_every_robot_and_escapes_names(drift: FleetDrift, tmp_path: P
     assert "<b>&" not in page
     assert "http" not in page.split("</style>")[1].replace("http-equiv", "")
     assert page.index('id="robot-R1"') < page.index('id="robot-R3"')
+    (kind,) = drift.types
+    assert f"{kind.torque[0]:.2g}, {kind.torque[1]:.2g} N m</td>" in page
+    sliding = replace(kind, torque=(1.0, 2.5, 30.0), torque_units=("N m", "N m", "N"))
+    assert "<td>1, 2.5 N m, 30 N</td>" in fleet_html(replace(drift, types=(sliding,)))
     assert write_fleet_report(tmp_path / "fleet.html", drift).read_text() == fleet_html(drift)
 
 
