@@ -33,7 +33,7 @@ def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
     n, p = model.n_joints, base.n_base
     chi = np.concatenate([model.parameters, robot.values.ravel()])
 
-    def positions(z):
+    def positions(z, start=None):
         full = chi.copy()
         full[base.columns] += z[:p]
         changed = replace(
@@ -43,18 +43,30 @@ def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
             delay=servo.delay + z[-1],
         )
         moved = SimulatedRobot(model, robot.drive, full[10 * n :].reshape(n, -1), changed)
-        motion = trajectories.simulate(moved, windows, full[: 10 * n])
+        here = windows
+        if start is not None:
+            here = replace(
+                windows, start_q=windows.start_q + start[:n], start_qd=windows.start_qd + start[n:]
+            )
+        motion = trajectories.simulate(moved, here, full[: 10 * n])
         return motion.sampled(windows.divisions)[:, 1:]
 
     motion = trajectories.simulate(robot, windows, chi[: 10 * n])
     assert np.any(motion.state > 2.0), "the servo must be at its limit somewhere"
     ((branch, _, found),) = trajectories.derivatives(robot, windows, chi[: 10 * n], motion)
     assert branch.parameters.tolist() == list(range(trajectories.n_parameters))
-    for k in range(trajectories.n_parameters):
-        z = np.zeros(trajectories.n_parameters)
-        z[k] = 1e-6
-        slope = (positions(z) - positions(-z)) / 2e-6
+    none = np.zeros(trajectories.n_parameters)
+    for k in range(trajectories.n_parameters + 2 * n):
+        change = np.zeros(trajectories.n_parameters + 2 * n)
+        change[k] = 1e-6
+        z, start = np.split(change, [len(none)])
+        slope = (positions(z, start) - positions(-z, -start)) / 2e-6
         size = np.abs(slope).max()
         # contacts of friction and limit begin in other steps for some samples
         assert np.median(np.abs(found[..., k] - slope)) < 1e-5 * size
         assert np.mean(np.abs(found[..., k] - slope) > 1e-3 * size) < 0.05
+    needed = np.arange(trajectories.n_parameters) % 3 == 1
+    ((branch, _, part),) = trajectories.derivatives(robot, windows, chi[: 10 * n], motion, needed)
+    assert branch.parameters.tolist() == np.flatnonzero(needed).tolist()
+    kept = np.concatenate([needed, np.ones(2 * n, dtype=bool)])
+    np.testing.assert_allclose(part, found[..., kept], rtol=1e-12, atol=1e-15)

@@ -6,16 +6,17 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, smat, svec
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.identification.trajectories.sensitivity import Motion, Trajectories
+from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 
@@ -28,16 +29,23 @@ STIFFNESS_SPREAD = 1.0
 DELAY_SPREAD = 20.0
 """Prior standard deviation of the delay, in units of `DELAY_SCALE`."""
 
+SMALLEST = 1e-6
+"""Least error of a start [rad, m, rad/s or m/s]."""
 MOSTLY = 0.5
 """Share of its variance by prior and torque rows from which a parameter is left undetermined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """Hold standard parameters (n_standard,), links and drives, and the servo."""
+    """Hold standard parameters (n_standard,), links and drives, the servo, and starts.
+
+    `starts` are position and velocity at the start of the windows of each recording, (W, 2, n);
+    they follow the parameters, as far as the windows determine them.
+    """
 
     chi: Array
     servo: PositionServo | None
+    starts: tuple[Array, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,14 +57,35 @@ class Weights:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class StartModel:
+    """Say how the starts of some windows follow the parameters at the minimum.
+
+    Starts of the joints (m,) of a branch, position before velocity, move by `to_best` (w, 2 m)
+    less `by_parameters` (w, 2 m, p) times the change of its parameters.
+    """
+
+    recording: int
+    part: slice
+    branch: Branch
+    to_best: Array
+    by_parameters: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Quadratic:
-    """Hold cost, gradient (m,), matrix (m, m) and gradients window by window (W, m)."""
+    """Hold cost, gradient (m,), matrix (m, m) and gradients window by window (W, m).
+
+    Starts are at their best, given the parameters; `gain` is by how much the cost falls when they
+    move there alone.
+    """
 
     cost: float
     gradient: Array
     matrix: Array
     scores: Array
     data: Array
+    starts: tuple[StartModel, ...]
+    gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +104,7 @@ class Objective:
     information, torque_weights
         Torque rows, and the weight of the rows of each joint (n,), zero for none.
     prior, belief
-        CAD, and the weight of the divergence from it.
+        CAD, and the weight of the divergence from it; infinite holds the links of CAD.
     start
         Where drive and servo parameters stay if nothing determines them.
     free_stiffness, free_delay
@@ -123,8 +152,36 @@ class Objective:
             point.servo,
         )
 
+    @cached_property
+    def links_held(self) -> bool:
+        """Whether no link moves."""
+        return not np.isfinite(self.belief)
+
+    @cached_property
+    def free(self) -> Indices:
+        """The coordinates that are fitted."""
+        return np.arange(10 * self.n_links if self.links_held else 0, self.size)
+
+    @cached_property
+    def start_weights(self) -> tuple[Array, ...]:
+        """What the squared distance of starts from the measured ones counts, (2, n) each.
+
+        A position has the error by which it differs from the logged one, a velocity is as
+        uncertain as the velocities of the joint are large, so that the window decides.
+        """
+        found = []
+        for cut in self.windows:
+            error = np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0) + SMALLEST**2
+            speed = np.mean(cut.start_qd**2, axis=0) + SMALLEST**2
+            found.append(1.0 / np.stack([error, speed]))
+        return tuple(found)
+
     def motions(self, point: Point) -> list[Motion]:
         """Simulate all windows."""
+        cuts = [
+            replace(cut, start_q=start[:, 0], start_qd=start[:, 1])
+            for cut, start in zip(self.windows, point.starts, strict=True)
+        ]
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         parts = [
             (k, slice(a, b))
@@ -133,7 +190,7 @@ class Objective:
         ]
 
         def one(part: tuple[int, slice]) -> Motion:
-            return self.trajectories.simulate(robot, self.windows[part[0]].some(part[1]), links)
+            return self.trajectories.simulate(robot, cuts[part[0]].some(part[1]), links)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             found = list(pool.map(one, parts))
@@ -159,50 +216,86 @@ class Objective:
 
     def _other_cost(self, point: Point) -> float:
         _, rest = self._torque_rows(point)
-        distance = self.prior.strength @ self.prior.divergence(point.chi)
         ridge = self._ridge()
         moved = self._away(point)
-        return 0.5 * float(rest @ rest + self.belief * distance + ridge @ moved**2)
+        total = 0.5 * float(rest @ rest + ridge @ moved**2)
+        if not self.links_held:
+            total += (
+                0.5 * self.belief * float(self.prior.strength @ self.prior.divergence(point.chi))
+            )
+        for weight, moved in zip(self.start_weights, self._starts_moved(point), strict=True):
+            total += 0.5 * float(np.sum(weight * moved**2))
+        return total
+
+    def _starts_moved(self, point: Point) -> list[Array]:
+        """Return the starts less the measured ones, (W, 2, n) each."""
+        return [
+            start - np.stack([cut.start_q, cut.start_qd], axis=1)
+            for start, cut in zip(point.starts, self.windows, strict=True)
+        ]
 
     def quadratic(self, point: Point, motions: Sequence[Motion], weights: Weights) -> Quadratic:
-        """Return the quadratic model of the cost around a point."""
+        """Return the quadratic model of the cost around a point, starts eliminated."""
         to_z = self._to_parameters(point)
+        needed = np.any(to_z[:, self.free] != 0.0, axis=1)
         H = np.zeros((to_z.shape[0], to_z.shape[0]))
-        g = np.zeros(to_z.shape[0])
-        scores = []
+        scores, starts, gain = [], list[StartModel](), 0.0
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
-        errors = self.errors(motions)
-        for cut, motion, error, of_window in zip(
-            self.windows, motions, errors, weights.windows, strict=True
+        errors, away = self.errors(motions), self._starts_moved(point)
+        for k, (cut, motion, error, of_window) in enumerate(
+            zip(self.windows, motions, errors, weights.windows, strict=True)
         ):
             score = np.zeros((cut.n_windows, to_z.shape[0]))
-            for branch, part, J in self.trajectories.derivatives(robot, cut, links, motion):
+            for branch, part, J in self.trajectories.derivatives(robot, cut, links, motion, needed):
                 root = np.sqrt(of_window[part])[:, None, None] * np.sqrt(
                     weights.joints[branch.joints]
                 )
                 Jw = (J * root[..., None]).reshape(len(J), -1, J.shape[-1])
                 ew = (error[part][..., branch.joints] * root).reshape(len(J), -1)
-                at = branch.parameters
-                flat = Jw.reshape(-1, Jw.shape[-1])
-                H[np.ix_(at, at)] += flat.T @ flat
-                score[part, at] += np.einsum("wrp,wr->wp", Jw, ew)
+                at, p = branch.parameters, len(branch.parameters)
+                stiff = self.start_weights[k][:, branch.joints].ravel()
+                normal = Jw.transpose(0, 2, 1) @ Jw
+                right = np.einsum("wrp,wr->wp", Jw, ew)
+                normal[:, range(p, p + len(stiff)), range(p, p + len(stiff))] += stiff
+                right[:, p:] -= stiff * away[k][part][:, :, branch.joints].reshape(len(J), -1)
+                both = np.concatenate([right[:, p:, None], normal[:, p:, :p]], axis=2)
+                solved = np.linalg.solve(normal[:, p:, p:], both)
+                starts.append(StartModel(k, part, branch, solved[:, :, 0], solved[:, :, 1:]))
+                gain += 0.5 * float(np.sum(right[:, p:] * solved[:, :, 0]))
+                H[np.ix_(at, at)] += np.sum(
+                    normal[:, :p, :p] - normal[:, :p, p:] @ solved[:, :, 1:], axis=0
+                )
+                score[part, at] += right[:, :p] - np.einsum(
+                    "wps,ws->wp", normal[:, :p, p:], solved[:, :, 0]
+                )
             scores.append(score)
         every = np.concatenate(scores)
-        g = -every.sum(axis=0)
         data = to_z.T @ H @ to_z
-        matrix, gradient = data.copy(), to_z.T @ g
+        matrix, gradient = data.copy(), -to_z.T @ every.sum(axis=0)
         rows, rest = self._torque_rows(point)
         A = rows @ to_z
         matrix += A.T @ A
         gradient += A.T @ rest
-        self._add_cad(point, gradient, matrix)
+        if not self.links_held:
+            self._add_cad(point, gradient, matrix)
         ridge, moved = self._ridge(), self._away(point)
         gradient += ridge * moved
         matrix[np.diag_indices(len(ridge))] += ridge
-        return Quadratic(self.cost(point, motions, weights), gradient, matrix, every @ to_z, data)
+        cost = self.cost(point, motions, weights)
+        return Quadratic(cost, gradient, matrix, every @ to_z, data, tuple(starts), gain)
 
-    def moved(self, point: Point, step: Array) -> Point:
-        """Return the point at coordinates `step` (m,) from a point."""
+    def starts_after(self, point: Point, quadratic: Quadratic, step: Array) -> tuple[Array, ...]:
+        """Return the best starts at coordinates `step` (m,) from a point, by its model."""
+        z = self._to_parameters(point) @ step
+        found = [start.copy() for start in point.starts]
+        for each in quadratic.starts:
+            moved = each.to_best - each.by_parameters @ z[each.branch.parameters]
+            joints = each.branch.joints
+            found[each.recording][each.part][:, :, joints] += moved.reshape(-1, 2, len(joints))
+        return tuple(found)
+
+    def moved(self, point: Point, step: Array, starts: tuple[Array, ...]) -> Point:
+        """Return the point at coordinates `step` (m,) from a point, with other starts."""
         n = self.n_links
         L = np.linalg.cholesky(pseudo_inertias(point.chi[: 10 * n].reshape(n, 10)))
         values, axes = np.linalg.eigh(smat(step[: 10 * n].reshape(n, 10)))
@@ -219,25 +312,28 @@ class Objective:
             servo = replace(servo, kp=tuple(factor * x for x in servo.kp))
         if servo is not None and self.free_delay:
             servo = replace(servo, delay=(servo.delay or 0.0) + DELAY_SCALE * left.pop(0))
-        return Point(chi, servo)
+        return Point(chi, servo, starts)
 
     def at_bound(self, point: Point, gradient: Array) -> Mask:
-        """Return which coordinates lie at their bound with the descent beyond it, shape (m,)."""
-        held = np.zeros(self.size, dtype=np.bool_)
+        """Return which coordinates are held or lie at their bound with the descent beyond it."""
+        held = np.ones(self.size, dtype=np.bool_)
+        held[self.free] = False
         bounded = self.prior.non_negative
-        held[bounded] = (point.chi[bounded] <= 0.0) & (gradient[bounded] > 0.0)
+        held[bounded] |= (point.chi[bounded] <= 0.0) & (gradient[bounded] > 0.0)
         return held
 
     def covariance(self, point: Point, quadratic: Quadratic) -> Array:
         """Return the covariance (p_z, p_z) of base and servo parameters at the minimum."""
-        to_z = self._to_parameters(point)
-        root = np.linalg.cholesky(quadratic.matrix)
+        to_z = self._to_parameters(point)[:, self.free]
+        root = np.linalg.cholesky(quadratic.matrix[np.ix_(self.free, self.free)])
         spread = np.linalg.solve(root, to_z.T)
         return np.asarray(spread.T @ spread)
 
     def drive_errors(self, quadratic: Quadratic) -> Array:
         """Return the standard errors (n, columns_per_joint) of the drive parameters."""
-        variance = np.diag(np.linalg.inv(quadratic.matrix))
+        inverse = np.linalg.inv(quadratic.matrix[np.ix_(self.free, self.free)])
+        variance = np.zeros(self.size)
+        variance[self.free] = np.diag(inverse)
         of_drives = variance[10 * self.n_links : len(self.start.chi)]
         return np.sqrt(of_drives).reshape(self.n_links, -1)
 
@@ -245,8 +341,10 @@ class Objective:
         """Return the drive and servo parameters that the trajectories hardly determine."""
         names = [*self.prior.names, *(["stiffness"] if self.free_stiffness else [])]
         names += ["delay"] if self.free_delay else []
-        inverse = np.linalg.inv(quadratic.matrix)
-        held = np.diag(inverse @ (quadratic.matrix - quadratic.data) @ inverse) / np.diag(inverse)
+        at = np.ix_(self.free, self.free)
+        inverse, held = np.linalg.inv(quadratic.matrix[at]), np.zeros(self.size)
+        rest = quadratic.matrix[at] - quadratic.data[at]
+        held[self.free] = np.diag(inverse @ rest @ inverse) / np.diag(inverse)
         drives = range(10 * self.n_links, self.size)
         return tuple(names[k] for k in drives if held[k] > MOSTLY)
 

@@ -18,7 +18,7 @@ from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 
-SAME_SAMPLES = 0.01
+SAME_SAMPLES = 1e-4
 """Weight of torque rows whose samples are simulated too, so that none counts twice; they decide
 where trajectories leave a direction open."""
 BELIEF = 10.0
@@ -93,7 +93,7 @@ def refine_fit(
     stiffness_spread
         Standard error of the logarithm of a common stiffness before the trajectories.
     belief
-        Weight of the divergence of links from CAD.
+        Weight of the divergence of links from CAD; infinite holds the links of CAD.
     begin
         Standard parameters to begin with, (n_standard,); None: those of the fit.
     progress
@@ -106,10 +106,13 @@ def refine_fit(
         linear = fit_toward_cad(fit.information, prior)
     chi = np.array(linear.standard)
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
-    start = Point(chi, servo)
+    if not np.isfinite(belief):
+        chi[: 10 * model.n_links] = prior.parameters[: 10 * model.n_links]
+    windows = _thinned(windows)
+    starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
+    start = Point(chi, servo, starts)
     share = SAME_SAMPLES * fit.uncertainty.effective_samples / fit.information.n_samples
     trajectories = Trajectories(model, base)
-    windows = _thinned(windows)
     objective = Objective(
         trajectories,
         tuple(windows),
@@ -122,7 +125,7 @@ def refine_fit(
         free_delay and servo is not None,
         stiffness_spread,
     )
-    first = start if begin is None else Point(begin, servo)
+    first = start if begin is None else Point(begin, servo, starts)
     if objective.free_stiffness and servo is not None:
         first = _better_start(objective, first, servo)
     found = refine(objective, first, progress=progress)
@@ -188,7 +191,10 @@ def _better_start(objective: Objective, start: Point, servo: PositionServo) -> P
     chi[:links] = objective.prior.parameters[:links]
     chi[links:] *= STIFFER
     stiffer = replace(servo, kp=tuple(STIFFER * kp for kp in servo.kp), delay=0.0)
-    tried = [refine(objective, each, steps=FEW) for each in (start, Point(chi, stiffer))]
+    tried = [
+        refine(objective, each, steps=FEW)
+        for each in (start, replace(start, chi=chi, servo=stiffer))
+    ]
     weights = tried[0].weights
     costs = [objective.cost(each.point, each.motions, weights) for each in tried]
     return tried[int(np.argmin(costs))].point

@@ -16,16 +16,19 @@ from asbuilt.identification.trajectories.sensitivity import Motion
 class Steps:
     """Say how the search goes: own choices, tested on real and virtual robots.
 
-    `rounds` of weights follow one another, each with at most `most` steps; a round ends when the
+    At most `rounds` of weights follow one another, until they are the `same` but for that factor
+    (logarithm), each with at most `most` steps; a round ends when the
     quadratic model promises to lower the cost by less than `settled`, in units of the logarithmic
-    likelihood. `damping` is the first relative damping.
+    likelihood, and by less than that for each number of the starts of windows, or if a step
+    lowered it by less. `damping` is the first relative damping.
     Windows whose error is beyond `outlying` times the `usual` quantile count no more than if it
     were that (a bounded influence, for contact and servo limits).
     """
 
-    rounds: int = 3
+    rounds: int = 6
+    same: float = 0.2
     most: int = 12
-    settled: float = 0.02
+    settled: float = 0.01
     damping: float = 1e-3
     strongest: float = 1e6
     outlying: float = 3.0
@@ -68,26 +71,29 @@ def _refined(
     point, motions = start, objective.motions(start)
     done, costs = 0, list[float]()
     inflation = 1.0
+    weights = weights_of(objective, motions, steps, inflation)
+    quadratic = objective.quadratic(point, motions, weights)
     for number in range(steps.rounds):
-        weights = weights_of(objective, motions, steps, inflation)
+        inflation = max(1.0, inflation * _inflation(quadratic))
+        renewed = weights_of(objective, motions, steps, inflation)
+        if number and np.all(np.abs(np.log(renewed.joints / weights.joints)) < steps.same):
+            break
+        weights, damping = renewed, steps.damping
         quadratic = objective.quadratic(point, motions, weights)
-        inflation *= _inflation(quadratic)
-        if number == 0:
-            weights = weights_of(objective, motions, steps, inflation)
-            quadratic = objective.quadratic(point, motions, weights)
-        damping = steps.damping
         for _ in range(steps.most):
-            if _decrement(objective, point, quadratic) < steps.settled:
+            if _settled(objective, point, quadratic, steps):
                 break
             moved = _step(objective, point, quadratic, weights, damping, steps)
             done += 1
             if moved is None:
                 break
             point, motions, damping = moved
-            quadratic = objective.quadratic(point, motions, weights)
+            before, quadratic = quadratic.cost, objective.quadratic(point, motions, weights)
             costs.append(quadratic.cost)
             if progress is not None:
                 progress((number + done / (steps.most * steps.rounds)) / steps.rounds)
+            if before - quadratic.cost < steps.settled:
+                break
     return Refinement(point, quadratic, weights, motions, done, tuple(costs))
 
 
@@ -113,18 +119,22 @@ def weights_of(
 
 
 def _inflation(quadratic: Quadratic) -> float:
-    """Return by how much the scores of windows vary beyond their information, 1 or more."""
+    """Return how many times their information the scores of windows vary."""
     values, axes = np.linalg.eigh(quadratic.data)
     there = values > 1e-9 * values[-1]
     scores = quadratic.scores @ axes[:, there] / np.sqrt(values[there])
-    return max(1.0, float(np.mean(np.sum(scores**2, axis=0))))
+    return float(np.mean(np.sum(scores**2, axis=0)))
 
 
-def _decrement(objective: Objective, point: Point, quadratic: Quadratic) -> float:
-    """Return by how much the cost would fall at the minimum of its quadratic model."""
+def _settled(objective: Objective, point: Point, quadratic: Quadratic, steps: Steps) -> bool:
+    """Return whether parameters, and on average starts, are close to their minimum."""
     free = np.flatnonzero(~objective.at_bound(point, quadratic.gradient))
     H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
-    return 0.5 * float(g @ np.linalg.solve(H, g))
+    starts = sum(start.size for start in point.starts)
+    return bool(
+        0.5 * float(g @ np.linalg.solve(H, g)) < steps.settled
+        and quadratic.gain < steps.settled * starts
+    )
 
 
 def _step(
@@ -143,7 +153,12 @@ def _step(
     while damping < steps.strongest:
         step = np.zeros(objective.size)
         step[free] = -np.linalg.solve(H + damping * np.diag(scale), g)
-        tried = objective.moved(point, step)
+        # starts are damped as a whole: they are nearly linear
+        full = objective.starts_after(point, quadratic, step)
+        starts = tuple(
+            old + (new - old) / (1.0 + damping) for old, new in zip(point.starts, full, strict=True)
+        )
+        tried = objective.moved(point, step, starts)
         motions = objective.motions(tried)
         if objective.cost(tried, motions, weights) < quadratic.cost:
             return tried, motions, damping / 5.0

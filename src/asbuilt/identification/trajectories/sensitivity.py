@@ -1,14 +1,14 @@
-"""Simulated trajectories and their derivatives by base and servo parameters, branch by branch."""
+"""Simulated trajectories and their derivatives by parameters and start, branch by branch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.program import drive_program
@@ -137,13 +137,27 @@ class Trajectories:
         return Motion(q, v, a, state)
 
     def derivatives(
-        self, robot: SimulatedRobot, windows: Windows, links: Array, motion: Motion
+        self,
+        robot: SimulatedRobot,
+        windows: Windows,
+        links: Array,
+        motion: Motion,
+        needed: Mask | None = None,
     ) -> Iterator[tuple[Branch, slice, Array]]:
         """Yield for each branch and chunk of windows the derivatives of the positions.
 
-        Shape (windows, L - 1, m, p), at the samples after the start.
+        Shape (windows, L - 1, m, p + 2 m), at the samples after the start, by the parameters and
+        then by position and velocity of each joint at the start. A branch has its parameters that
+        are `needed` (n_parameters,); None: all.
         """
-        n, most = self.model.n_joints, max(len(each.parameters) for each in self.branches)
+        if needed is None:
+            needed = np.ones(self.n_parameters, dtype=np.bool_)
+        branches = tuple(
+            replace(each, parameters=each.parameters[needed[each.parameters]])
+            for each in self.branches
+        )
+        n = self.model.n_joints
+        most = max(len(each.parameters) + 2 * len(each.joints) for each in branches)
         size = windows.n_steps * n * (3 * n + most)
         chunk = max(1, int(AT_ONCE / size))
         for start in range(0, windows.n_windows, chunk):
@@ -151,12 +165,17 @@ class Trajectories:
             yield from (
                 (branch, part, found)
                 for branch, found in self._chunk(
-                    robot, windows.some(part), links, motion.chunk(part.start, part.stop)
+                    robot, windows.some(part), links, motion.chunk(part.start, part.stop), branches
                 )
             )
 
     def _chunk(
-        self, robot: SimulatedRobot, windows: Windows, links: Array, motion: Motion
+        self,
+        robot: SimulatedRobot,
+        windows: Windows,
+        links: Array,
+        motion: Motion,
+        branches: Sequence[Branch],
     ) -> Iterator[tuple[Branch, Array]]:
         n, shape = self.model.n_joints, motion.a.shape
         q, v, a = (
@@ -184,23 +203,29 @@ class Trajectories:
         acting = error - np.clip(error, -dead, dead)
         stiffness = servo * kp * free * ((acting != 0.0) | (dead == 0.0))
         slope = servo * np.where(free, kd, falling)
+        p = self.base.n_base
         links_in_base = np.flatnonzero(self.base.columns < 10 * self.model.n_links)
-        for branch in self.branches:
+        for branch in branches:
             columns = np.zeros((len(q), len(branch.joints), len(branch.parameters)))
             place = np.full(self.n_parameters, -1)
             place[branch.parameters] = np.arange(len(branch.parameters))
             for i, k in enumerate(branch.joints.tolist()):
                 lo, hi = self.plan.bounds[k]
-                columns[:, i, place[links_in_base[self.plan.support[k]]]] = rows[k][: hi - lo].T
-                for c, number in self._drive_columns(k):
-                    columns[:, i, place[number]] = drive[k][c]
+                to = place[links_in_base[self.plan.support[k]]]
+                columns[:, i, to[to >= 0]] = rows[k][: hi - lo][to >= 0].T
+                known = [(number, drive[k][c]) for c, number in self._drive_columns(k)]
                 if servo:
-                    p = self.base.n_base
-                    columns[:, i, place[p + k]] = -acting[:, k] * free[:, k]
-                    columns[:, i, place[p + n + k]] = after[:, k] * free[:, k]
-                    columns[:, i, place[p + 2 * n]] = -stiffness[:, k] * late[:, k]
+                    known += [
+                        (p + k, -acting[:, k] * free[:, k]),
+                        (p + n + k, after[:, k] * free[:, k]),
+                        (p + 2 * n, -stiffness[:, k] * late[:, k]),
+                    ]
+                for number, values in known:
+                    if place[number] >= 0:
+                        columns[:, i, place[number]] = values
             every = windows.divisions
-            out = np.empty((shape[0], shape[1] // every, *columns.shape[1:]))
+            m, width = len(branch.joints), columns.shape[2]
+            out = np.empty((shape[0], shape[1] // every, m, width + 2 * m))
             four = (*shape[:2], n, n)
             sensitivities(
                 branch.joints,

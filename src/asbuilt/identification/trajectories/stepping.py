@@ -216,7 +216,7 @@ def sensitivities(
     every,
     out,
 ):
-    """Write how the positions of a branch at the samples depend on its parameters.
+    """Write how the positions of a branch at the samples depend on its parameters and its start.
 
     Parameters
     ----------
@@ -235,14 +235,18 @@ def sensitivities(
     h, every
         Step, and steps per sample.
     out
-        Shape (W, S // every, m, p).
+        Shape (W, S // every, m, p + 2 m): by the parameters, then by position and velocity of
+        each joint at the start.
     """
-    m, p = joints.size, columns.shape[3]
+    m, known = joints.size, columns.shape[3]
+    p = known + 2 * m
     windows, steps = columns.shape[0], columns.shape[1]
     A, place = np.empty((m, m)), np.empty(m, dtype=np.int64)
     dq, dv, right = np.empty((m, p)), np.empty((m, p)), np.empty((m, p))
     for w in range(windows):
         dq[:], dv[:] = 0.0, 0.0
+        for i in range(m):
+            dq[i, known + i], dv[i, known + m + i] = 1.0, 1.0
         for s in range(steps):
             moving = 0
             for i in range(m):
@@ -253,8 +257,9 @@ def sensitivities(
                 i = place[x]
                 k = joints[i]
                 bounded = state[w, s, k] > 2.0
-                for c in range(p):
+                for c in range(known):
                     right[x, c] = -columns[w, s, i, c]
+                right[x, known:] = 0.0
                 for j in range(m):
                     r = joints[j]
                     G, C = by_position[w, s, k, r], by_velocity[w, s, k, r] + damping[k, r]
