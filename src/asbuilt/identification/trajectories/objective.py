@@ -223,8 +223,8 @@ class Objective:
             total += (
                 0.5 * self.belief * float(self.prior.strength @ self.prior.divergence(point.chi))
             )
-        for weight, moved in zip(self.start_weights, self._starts_moved(point), strict=True):
-            total += 0.5 * float(np.sum(weight * moved**2))
+        for weight, off in zip(self.start_weights, self._starts_moved(point), strict=True):
+            total += 0.5 * float(np.sum(weight * off**2))
         return total
 
     def _starts_moved(self, point: Point) -> list[Array]:
