@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import Fit, fit_samples
+from asbuilt.identification.trajectories.objective import Quadratic, Weights
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
+from asbuilt.identification.trajectories.refinement import score_inflation
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 
 pytest.importorskip("mujoco")
@@ -91,3 +94,24 @@ def test_an_unknown_stiffness_keeps_to_its_error_by_torques(study: tuple[Fit, Wi
     assert held is not None
     assert free.kp[0] < 0.97 * high.kp[0]
     assert held.kp[0] == pytest.approx(high.kp[0], rel=5e-3)
+
+
+def test_windows_of_a_recording_share_what_the_model_gets_wrong() -> None:
+    """Scores that are the same in every window of a recording count as one."""
+    rng = np.random.default_rng(1)
+    sizes, per, p = [30] * 200, 30, 3
+    own = rng.standard_normal((200 * per, p))
+    shared = np.repeat(rng.standard_normal((200, p)), per, axis=0)
+    data = np.diag(np.full(p, 200.0 * per))
+    weights = Weights(np.ones(1), tuple(np.ones(each) for each in sizes))
+    one_log = Weights(np.ones(1), (np.ones(200 * per),))
+
+    def quadratic(scores: Array) -> Quadratic:
+        return Quadratic(0.0, np.zeros(p), data, scores, data, (), 0.0)
+
+    # independent windows vary by their information, and so do the sums of recordings
+    assert score_inflation(quadratic(own), one_log) == pytest.approx(1.0, rel=0.05)
+    assert score_inflation(quadratic(own), weights) == pytest.approx(1.0, rel=0.25)
+    # the sum of m equal scores has m times the variance of m independent ones
+    assert score_inflation(quadratic(shared), one_log) == pytest.approx(1.0, rel=0.25)
+    assert score_inflation(quadratic(shared), weights) == pytest.approx(per, rel=0.25)

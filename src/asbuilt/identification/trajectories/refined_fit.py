@@ -18,7 +18,7 @@ from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 
-SAME_SAMPLES = 1e-4
+SAME_SAMPLES = 0.01
 """Weight of torque rows whose samples are simulated too, so that none counts twice; they decide
 where trajectories leave a direction open."""
 BELIEF = 10.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.errors.between_recordings import FEWEST_RECORDINGS
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
 from asbuilt.identification.trajectories.sensitivity import Motion
 
@@ -74,7 +75,7 @@ def _refined(
     weights = weights_of(objective, motions, steps, inflation)
     quadratic = objective.quadratic(point, motions, weights)
     for number in range(steps.rounds):
-        inflation = max(1.0, inflation * _inflation(quadratic))
+        inflation = max(1.0, inflation * score_inflation(quadratic, weights))
         renewed = weights_of(objective, motions, steps, inflation)
         if number and np.all(np.abs(np.log(renewed.joints / weights.joints)) < steps.same):
             break
@@ -118,12 +119,21 @@ def weights_of(
     return Weights(1.0 / (spread * inflation), tuple(share))
 
 
-def _inflation(quadratic: Quadratic) -> float:
-    """Return how many times their information the scores of windows vary."""
+def score_inflation(quadratic: Quadratic, weights: Weights) -> float:
+    """Return how many times their information the scores of windows vary.
+
+    The windows of a recording share what the model gets wrong about its motion. From four
+    recordings on, the scores of whole recordings count where they vary more.
+    """
     values, axes = np.linalg.eigh(quadratic.data)
     there = values > 1e-9 * values[-1]
     scores = quadratic.scores @ axes[:, there] / np.sqrt(values[there])
-    return float(np.mean(np.sum(scores**2, axis=0)))
+    found, g = float(np.mean(np.sum(scores**2, axis=0))), len(weights.windows)
+    if g < FEWEST_RECORDINGS:
+        return found
+    ends = np.cumsum([len(each) for each in weights.windows])[:-1]
+    whole = np.stack([each.sum(axis=0) for each in np.split(scores, ends)])
+    return max(found, g / (g - 1.0) * float(np.mean(np.sum(whole**2, axis=0))))
 
 
 def _settled(objective: Objective, point: Point, quadratic: Quadratic, steps: Steps) -> bool:
