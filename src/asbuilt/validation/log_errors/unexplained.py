@@ -23,7 +23,7 @@ PARTS, LONGEST, MOST = 20, 10, 0.8
 and goes."""
 ONE_SIDED = 0.5
 """Mean error over its RMS from which that stretch is pushed: contacts of 4 s in virtual logs of two
-arms have 0.55 and 0.75, errors in eleven real recordings at most 0.34."""
+arms have 0.55 and 0.75, errors in nine real recordings at most 0.34."""
 PUSHED = 0.1
 """RMS error in that stretch over the standard deviation of a joint's torque that is a push."""
 

@@ -18,8 +18,9 @@ class StandInThresholds:
     """Say when torques are not those of an arm of this length.
 
     Mass of arms grows with the third power of length. The density [kg/m^3] of rods
-    `stretched_length` wide is 2 to 16 for the descriptions of twelve arms whose gravity makes 0.4
-    to 65 N m vary, 50 for a geared one; recordings of seven real arms in N m give 1.7 to 87.
+    `stretched_length` wide is 2 to 16 for the descriptions of thirteen robots whose torque of
+    gravity varies by 0.4 to 65 N m, 50 for the TX40 and 87 for the two-link arm; recordings of six
+    real arms in N m give 1.7 to 87.
     """
 
     density: tuple[float, float] = (0.5, 800.0)
