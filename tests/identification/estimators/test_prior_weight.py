@@ -24,11 +24,7 @@ def test_errors_are_those_of_the_rows_held_out(robot):
             np.linalg.lstsq(factor[:-1, :-1], factor[:-1, -1] / (1.0 + weight), rcond=None)[0]
             for factor in factors
         ]
-        return (
-            np.array(shrunk)
-            @ base.regrouping
-            @ np.linalg.inv(base.regrouping.T @ base.regrouping + 1e-9 * np.eye(base.n_standard))
-        )
+        return np.array(shrunk) @ np.linalg.pinv(base.regrouping).T
 
     choice = choose_weight(information, weights, base.regrouping, fits, (1.0, 1e-2, 1e-4))
     joints = full_rows(model, base, samples)

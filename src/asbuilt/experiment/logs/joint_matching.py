@@ -112,13 +112,16 @@ def _misfit(
         problem = f"{source} has {len(labels)} joints but {robot} has {len(joint_names)}"
     else:
         problem = f"the joint names of {source} do not fit {robot}"
+    sheet = "give its joint names in column order in a recording sheet: joints = [...]"
+    if numbers_in(labels) is None:
+        sheet = (
+            "give the robot's name of each joint of the log in a recording sheet: [joints] with"
+            f' "{labels[0]}" = "..." and so on'
+        )
     return RecordingError(
         f"{problem}. Joints of the log: {', '.join(labels)}. Joints of {robot}:"
         f" {', '.join(joint_names)}",
-        cure=Cure(
-            "choose the robot that was recorded, or give its joint names in column order in a"
-            " recording sheet: joints = [...]"
-        ),
+        cure=Cure(f"choose the robot that was recorded, or {sheet}"),
         file=source,
         value=list(labels),
         expected=list(joint_names),

@@ -37,8 +37,6 @@ SEARCHES = (1e-4, 1e-7)
 """Relative falls of the cost at which two searches end; the second has the joint weights of the
 first."""
 MOST_TRIES = 80
-MOST_SHORTER = 8
-"""Trials of one line search: near the minimum the tolerance of the conic program ends it."""
 STEP = 20e-3
 """Unit of the tilt in the search [rad]."""
 SLOPE = 1e-5
@@ -216,7 +214,7 @@ def find_mounting(
                 method="L-BFGS-B",
                 jac=True,
                 bounds=[(-FARTHEST / STEP, FARTHEST / STEP)] * 2,
-                options={"ftol": enough, "maxfun": MOST_TRIES, "maxls": MOST_SHORTER},
+                options={"ftol": enough, "maxfun": MOST_TRIES},
             )
             tilt = STEP * np.asarray(found.x)
             seen = information(tilt)
