@@ -94,16 +94,24 @@ def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
 
 
 def misfit(entry: Entry, others: Sequence[Entry]) -> float:
-    """Return the weighted RMS torque error of a log by the others' model, in that by its own."""
+    """Return the weighted RMS torque error of a log by the others' model, in what is expected.
+
+    The error by its own model grows by `d^T M d`, where d is the difference of the parameters and
+    M the log's information. One robot has `tr(M C)` of it on average, C the sum of the covariances
+    of both: little between long logs, much between short ones whose motions differ. It is
+    1.0 where one of them determines nothing.
+    """
     settings, part = entry.settings, entry.whole
     prior = np.nan_to_num(design_values(settings.model, settings.base), nan=0.0)
     together = others[0].whole.merge(*(each.whole for each in others[1:]))
     try:
         own = fit_least_squares(part, weights="joint", prior=prior)
-        theirs = fit_least_squares(together, weights="joint", prior=prior).beta
+        theirs = fit_least_squares(together, weights="joint", prior=prior)
     except AsbuiltError:
         return 1.0
     weights = own.weights**2
     least = float(weights @ part.residual_energy(own.beta))
-    error = float(weights @ part.residual_energy(theirs))
-    return float(np.sqrt(error / least)) if least > 0.0 else 1.0
+    error = float(weights @ part.residual_energy(theirs.beta))
+    root = part.stacked(own.weights)[:, :-1]
+    expected = least + float(np.sum((root @ (own.covariance + theirs.covariance)) * root))
+    return float(np.sqrt(error / expected)) if expected > 0.0 else 1.0
