@@ -28,7 +28,8 @@ from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
 from asbuilt.workflow.fleet.reduction.rebuild import rebuild_ledger
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
-from fleet_logs import MODEL, content_of, with_clock, write_logs
+from asbuilt.writers.recording_files import write_recording
+from fleet_logs import MODEL, content_of, recording, with_clock, write_logs
 
 HERE = FleetOptions(workers=0)
 
@@ -185,6 +186,17 @@ def test_a_log_of_another_robot_is_named(logs: list[Path], tmp_path: Path) -> No
     said = [each for each in done.findings if each.code == "log_of_another_robot"]
     assert len(said) == 1
     assert "run_2026-03-09.csv" in said[0].message
+
+
+def test_short_logs_of_one_robot_are_not_those_of_two(tmp_path: Path) -> None:
+    """Of 6 s each, the models differ by what the short logs leave open."""
+    logs = [tmp_path / f"run_2026-03-{day:02d}.csv" for day in (20, 22)]
+    for day, path in zip((20, 22), logs, strict=True):
+        write_recording(path, recording(day, robot=7, seconds=6.0))
+    assert "log_of_another_robot" not in codes(add(tmp_path / "ledger", logs))
+    stranger = tmp_path / "run_2026-03-23.csv"
+    write_recording(stranger, recording(23, robot=2, seconds=6.0))
+    assert "log_of_another_robot" in codes(add(tmp_path / "ledger", [stranger]))
 
 
 def test_two_types_under_one_identity_are_refused(logs: list[Path], tmp_path: Path) -> None:
