@@ -190,9 +190,9 @@ def test_a_log_of_another_robot_is_named(logs: list[Path], tmp_path: Path) -> No
 
 def test_short_logs_of_one_robot_are_not_those_of_two(tmp_path: Path) -> None:
     """Of 6 s each, the models differ by what the short logs leave open."""
-    logs = [tmp_path / f"run_2026-03-{day:02d}.csv" for day in (20, 22)]
-    for day, path in zip((20, 22), logs, strict=True):
-        write_recording(path, recording(day, robot=7, seconds=6.0))
+    logs = [tmp_path / f"run_2026-03-{day:02d}.csv" for day in (19, 20)]
+    for seed, path in zip((21, 26), logs, strict=True):
+        write_recording(path, recording(seed, robot=7, seconds=6.0))
     assert "log_of_another_robot" not in codes(add(tmp_path / "ledger", logs))
     stranger = tmp_path / "run_2026-03-23.csv"
     write_recording(stranger, recording(23, robot=2, seconds=6.0))
