@@ -126,6 +126,8 @@ _DESIRED = {
 }
 _COMMANDS = {"command", "commanded", "cmd"}
 """Words that make a command of a column without another quantity."""
+_ANGLE_UNITS = {"deg", "degrees", "rad", "mrad"}
+"""Units of angles at the end of a name: a command in another unit is none of positions."""
 _OTHER = {
     "temperature",
     "temp",
@@ -339,8 +341,10 @@ def commanded(name: str) -> Role | None:
     --------
     >>> commanded("des_dof_pos_3").index, commanded("elbow_joint_target_position").joint
     (3, 'elbow_joint')
-    >>> commanded("q_1"), commanded("target_velocity_1")
-    (None, None)
+    >>> commanded("elbow_cmd_deg").joint, commanded("elbow_cmd_deg").unit
+    ('elbow', 'deg')
+    >>> commanded("q_1"), commanded("target_velocity_1"), commanded("elbow_cmd_mA")
+    (None, None, None)
     """
     if name.startswith(_RSI_COMMAND):
         name = f"command {_RSI[_RSI_COMMAND]}{name.removeprefix(_RSI_COMMAND)}"
@@ -354,7 +358,13 @@ def commanded(name: str) -> Role | None:
     rest = re.sub(r"([_./ -])[_./ -]+", r"\1", rest).strip("_./ -")
     role = recognise(rest)
     if role is None and _COMMANDS & {m.group().lower() for m in desired}:
-        role = recognise(f"{rest}_position" if re.search("[a-zA-Z]", rest) else f"position_{rest}")
+        unit = _UNIT_SUFFIX.search(rest)
+        if unit and unit.group(1).lower() not in _ANGLE_UNITS:
+            return None
+        bare, end = (rest[: unit.start()], rest[unit.start() :]) if unit else (rest, "")
+        role = recognise(
+            f"{bare}_position{end}" if re.search("[a-zA-Z]", bare) else f"position_{bare}{end}"
+        )
     if role is None or role.quantity != "position" or role.kind:
         return None
     return replace(role, quantity="command")
