@@ -21,6 +21,15 @@ def test_levels_of_joints_of_unlike_size_keep_the_rate_of_the_robot() -> None:
     assert 8.0 < np.mean(rates) < 13.0
 
 
+def test_rate_is_kept_on_average_over_short_records() -> None:
+    """Ten false alarms per hour from 20 minutes of seven joints: a promise of the mean."""
+    rng, rates = np.random.default_rng(6), []
+    for _ in range(80):
+        found = levels(rng.exponential(size=(HOUR // 3, 7)), 10.0 / HOUR)
+        rates.append(HOUR * -np.expm1(np.sum(np.log1p(-np.exp(-found)))))
+    assert 8.0 < np.mean(rates) < 12.0
+
+
 def test_joints_that_alarm_together_count_once() -> None:
     one = np.random.default_rng(1).exponential(size=(HOUR, 1))
     single = levels(one, 1.0 / HOUR)

@@ -4,7 +4,13 @@ Block maxima above a high quantile follow a generalised Pareto distribution (Pic
 2001, chapter 4): `P(x > u + y | x > u) = (1 + shape y / scale)^(-1/shape)`. With few blocks the
 error of shape and scale matters more than their values, so exceedance probabilities are averaged
 over their posterior; a level of predictive probability p is then exceeded with probability p on
-average over data sets.
+average over data sets. With the (k + 1)-th largest of B maxima as u, `P(x > u)` is on average
+`(k + 1) / (B + 1)`, whatever their distribution, and independent of the k excesses if the tail is
+exponential (Renyi, 1953); with a shape of 0 and excesses of sum T then exactly
+
+    P(x > u + y) = (k + 1) / (B + 1) (1 + y / T)^(-k),
+
+which exceeds `k / B exp(-k y / T)`, what the estimates themselves would say.
 """
 
 from __future__ import annotations
@@ -100,7 +106,7 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
             value=blocks,
             expected=FEWEST_BLOCKS,
         )
-    counts = {min(max(round(share * blocks), FEWEST_PEAKS), blocks // 2) for share in shares}
+    counts = {_peaks(blocks, share) for share in shares}
     found = [_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
     return max(found, key=lambda tail: tail.level)
 
@@ -109,8 +115,8 @@ def _tail(x: Array, peaks: int, probability: float) -> Tail:
     """Return the level of sorted maxima x (B,) from the tail of the largest `peaks`."""
     blocks = len(x)
     start, mean = _start(x, peaks)
-    shape, scale, weight = _posterior(np.maximum(x[-peaks:] - start, 0.0) / mean)
-    above = peaks / blocks
+    shape, scale, weight = _posterior((x[-peaks:] - start) / mean)
+    above = (peaks + 1) / (blocks + 1)
     low, high = 0.0, 1.0
     while above * _survival(high, shape, scale, weight) > probability and high < 1e9:
         high *= 2.0
@@ -132,8 +138,12 @@ def _tail(x: Array, peaks: int, probability: float) -> Tail:
 
 def largest(maxima: Array) -> Array:
     """Return the largest share `TAILS[0]` of maxima (B,), at least `FEWEST_PEAKS`, in order."""
-    peaks = min(max(round(TAILS[0] * len(maxima)), FEWEST_PEAKS), len(maxima) // 2)
-    return np.sort(maxima)[-peaks:]
+    return np.sort(maxima)[-_peaks(len(maxima), TAILS[0]) :]
+
+
+def _peaks(blocks: int, share: float) -> int:
+    """Return how many maxima of blocks are the tail of a share of them."""
+    return min(max(round(share * blocks), FEWEST_PEAKS), blocks // 2)
 
 
 def exponential_level(maxima: Array, probability: float) -> float:
@@ -145,8 +155,8 @@ def exponential_level(maxima: Array, probability: float) -> float:
 
 def _start(x: Array, peaks: int) -> tuple[float, float]:
     """Return the start and the mean excess of the tail of the largest `peaks` of sorted maxima."""
-    start = float(0.5 * (x[-peaks - 1] + x[-peaks]))
-    mean = float(np.maximum(x[-peaks:] - start, 0.0).mean())
+    start = float(x[-peaks - 1])
+    mean = float(np.mean(x[-peaks:] - start))
     return start, max(mean, LEAST_SPREAD * start, np.finfo(float).tiny)
 
 

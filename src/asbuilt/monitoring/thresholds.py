@@ -37,6 +37,8 @@ MOST = 0.5
 """Largest probability of an alarm in a block; beyond it a level lies within the noise."""
 MANY = 500
 """Blocks from which the ten largest are the largest 2 %: joints then have one tail together."""
+PARTS = 5
+"""Parts of the time of which each is measured in units that follow from the others."""
 LEAST = (0.001, 0.1, 0.3, 1.0)
 """Least floors of the scale, per RMS residual; one is chosen."""
 MOST_ROWS = 20000
@@ -286,14 +288,26 @@ def levels(maxima: Array, expected: float) -> Array:
     part of the rate, would lie n times farther beyond what the recordings show, and count joints
     twice that alarm together. With fewer blocks the ten largest of a joint reach into the bulk of
     its blocks, which says little of its tail beside those of others; each then has its own.
+
+    Units are errors of the same blocks: a joint whose largest maxima are small by chance has its
+    level too low, and its blocks, in these units, would not show it. So the maxima that the tail is
+    fitted to are in units from the other parts of the time.
     """
     n = maxima.shape[1]
     if len(maxima) < MANY:
         each = float(-np.expm1(-expected / n))
         return np.array([tail_level(column, each).level for column in maxima.T])
-    size = np.maximum([np.mean(largest(column)) for column in maxima.T], np.finfo(float).tiny)
-    tail = tail_level((maxima / size).max(axis=1), float(-np.expm1(-expected)), TAILS[-1:])
-    return np.asarray(size * tail.level)
+    part = np.arange(len(maxima)) * PARTS // len(maxima)
+    pooled = [
+        (maxima[part == k] / _sizes(maxima[part != k])).max(axis=1) for k in range(PARTS)
+    ]
+    tail = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
+    return _sizes(maxima) * tail.level
+
+
+def _sizes(maxima: Array) -> Array:
+    """Return the mean of the largest maxima of each joint (n,)."""
+    return np.maximum([np.mean(largest(column)) for column in maxima.T], np.finfo(float).tiny)
 
 
 def _check_measured(logs: Sequence[Observed], names: Sequence[str]) -> None:

@@ -11,6 +11,9 @@ from asbuilt.arrays import Array, Indices
 
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
+PANEL = 8
+"""Columns that one block reflector takes. The panels of `geqrf` are as wide as these matrices, so
+it works by vectors: with 30 to 60 columns `geqrt` takes half of its time."""
 
 
 def triangular_factor(rows: Array) -> Array:
@@ -87,6 +90,6 @@ class GrowingFactor:
         if self._filled > self._p:
             full = self._filled == self._rows.shape[1]
             rows = self._rows.T if full else self._rows[:, : self._filled].T.copy(order="F")
-            lapack.dgeqrf(rows, overwrite_a=True)
+            lapack.dgeqrt(min(PANEL, self._p), rows, overwrite_a=True)
             self._rows[:, : self._p] = np.tril(rows[: self._p].T)
             self._filled = self._p
