@@ -142,7 +142,8 @@ def virtual(
                 f" {counts[0] / watched:8.2f} ({least:.2f} -{most:6.2f})"
                 f" {np.mean(counts) / watched:8.2f} +- {error:.2f}"
                 f" {np.round(counts / watched, 1).tolist()}"
-                f" {forces[0]:14.1f} N {forces[1]:7.1f} N   {watched:.1f} h after {calibrated:.2f} h",
+                f" {forces[0]:14.1f} N {forces[1]:7.1f} N"
+                f"   {watched:.1f} h after {calibrated:.2f} h",
                 flush=True,
             )
 

@@ -298,9 +298,7 @@ def levels(maxima: Array, expected: float) -> Array:
         each = float(-np.expm1(-expected / n))
         return np.array([tail_level(column, each).level for column in maxima.T])
     part = np.arange(len(maxima)) * PARTS // len(maxima)
-    pooled = [
-        (maxima[part == k] / _sizes(maxima[part != k])).max(axis=1) for k in range(PARTS)
-    ]
+    pooled = [(maxima[part == k] / _sizes(maxima[part != k])).max(axis=1) for k in range(PARTS)]
     tail = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
     return _sizes(maxima) * tail.level
 
