@@ -116,3 +116,38 @@ def test_counting_from_zero_among_names_is_not_guessed(tmp_path: Path) -> None:
         RecordingError, match=r"choose the robot that was recorded.*in a recording sheet"
     ):
         read_recording(path, model=robot_with(("j1", "j2", "j3", "hand")))
+
+
+@pytest.mark.parametrize(
+    ("position", "command"),
+    [
+        ("/controller_state/actual/positions[{}]", "/controller_state/desired/positions[{}]"),
+        ("feedback.positions[{}]", "reference.positions[{}]"),
+        ("/joint_states/position[{}]", "/joint_commands/position[{}]"),
+        ("/joint_states/j{}/position", "/joint_commands/j{}/position"),
+        ("observation.state.j{}.pos", "action.j{}.pos"),
+        ("j{}/position", "j{}/reference"),
+        ("Present_Position_{}", "Goal_Position_{}"),
+        ("k{}_pos", "k{}_cmd"),
+        ("q{}", "setpoint_{}"),
+    ],
+)
+def test_usual_names_of_commands(tmp_path: Path, position: str, command: str) -> None:
+    t = np.arange(20) * 0.01
+    columns = {"t": t} | {position.format(k): t + k for k in range(3)}
+    columns |= {command.format(k): t - k for k in (2, 0, 1)}
+    rows = np.column_stack([*columns.values()])
+    path = tmp_path / "run_qd.csv"
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="")
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.q, t[:, None] + np.arange(3))
+    np.testing.assert_allclose(recording.command, t[:, None] - np.arange(3))
+
+
+@pytest.mark.parametrize("name", ["action_{}", "u{}", "setpoint_temperature_{}", "goal_{}_id"])
+def test_names_that_may_be_no_position_are_no_command(tmp_path: Path, name: str) -> None:
+    columns = ["t", "q0", "q1", name.format(0), name.format(1)]
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.ones((9, 5)), delimiter=",", header=",".join(columns), comments="")
+    with pytest.raises(RecordingError, match="no columns for joint torques"):
+        read_recording(path)

@@ -122,6 +122,20 @@ def test_a_topic_is_chosen_in_the_sheet_where_several_have_messages(tmp_path: Pa
     np.testing.assert_array_equal(read_recording(path).q, Q)
 
 
+def test_commands_in_json_on_a_topic_of_their_own(tmp_path: Path) -> None:
+    body = channel(1, "/joint_states") + channel(2, "/arm/command")
+    for k in range(N):
+        body += message(1, k, {"name": NAMES, "position": Q[k].tolist()})
+        body += message(2, k, {"name": NAMES[::-1], "position": (Q[k, ::-1] + 1.0).tolist()})
+    recording = read_recording(written(tmp_path / "log.mcap", body), kp=1.0)
+    np.testing.assert_array_equal(recording.command, Q + 1.0)
+    path = written(tmp_path / "log.mcap", body.replace(b"/arm/command", b"/arm/leaders"))
+    with pytest.raises(RecordingError, match="command_topic"):
+        read_recording(path)
+    recording = read_recording(path, sheet={"command_topic": "/arm/leaders"}, kp=1.0)
+    np.testing.assert_array_equal(recording.command, Q + 1.0)
+
+
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     body = channel(1, "/joint_states")
     body += b"".join(message(1, k, joint_state(k)) for k in range(N))

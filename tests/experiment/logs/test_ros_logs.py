@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.ros_bag import chosen_topics
 from asbuilt.experiment.logs.readers import read_recording
 
 JOINTS = ("base", "elbow", "wrist")
@@ -109,3 +110,60 @@ def test_compressed_database_without_its_list(
     packed.write_bytes(packed.read_bytes()[:500])
     with pytest.raises(RecordingError, match=r"run\.db3\.zstd"):
         read_recording(packed)
+
+
+def with_commands(
+    folder: Path, motion: dict[str, np.ndarray], topics: tuple[str, str], stamped: bool
+) -> Path:
+    """Write joint states without effort, and 4 ms before each the position of the next.
+
+    Commands name their joints in another order, and no gripper.
+    """
+    store = Store(first=False)
+    state, header, time = (
+        store.types[name] for name in (STATE, "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    )
+    none = np.zeros(0)
+    with import_module("rosbags.rosbag2").Writer(folder, version=9) as bag:
+        of_states, of_commands = (
+            bag.add_connection(each, STATE, typestore=store.store) for each in topics
+        )
+        for row, (stamp, _) in enumerate(states(store, motion)):
+            q, ahead = motion["q"][row], motion["q"][min(row + 1, 299), ::-1]
+            for connection, at, names, values in (
+                (of_commands, stamp - 4_000_000, JOINTS[::-1], ahead),
+                (of_states, stamp, (*JOINTS, "gripper"), np.append(q, 0.5)),
+            ):
+                own = at if stamped or connection is of_states else 0
+                head = header(time(sec=own // 10**9, nanosec=own % 10**9), "")
+                message = state(head, list(names), np.ascontiguousarray(values), none, none)
+                bag.write(connection, at, store.store.serialize_cdr(message, STATE))
+    return folder
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_commands_on_a_topic_of_their_own(
+    tmp_path: Path, motion: dict[str, np.ndarray], stamped: bool
+) -> None:
+    folder = with_commands(tmp_path / "a", motion, ("/state", "/joint_commands"), stamped)
+    recording = read_recording(folder, kp=2.0)
+    assert recording.joint_names == JOINTS
+    assert "joints without a command were left out: gripper" in recording.notes
+    np.testing.assert_array_equal(recording.q, motion["q"])
+    np.testing.assert_array_equal(recording.command[:-1], motion["q"][1:])
+
+
+def test_topics_of_states_and_commands(tmp_path: Path) -> None:
+    def chosen(*topics: str, topic: str | None = None, command: str | None = None) -> Any:
+        return chosen_topics(tmp_path, set(topics), topic, command)
+
+    assert chosen() == (None, None)
+    assert chosen("/robot/cmd") == ("/robot/cmd", None)
+    assert chosen("/measured", "/desired") == ("/measured", "/desired")
+    assert chosen("/joint_states", "/leader", "/arm/goal") == ("/joint_states", "/arm/goal")
+    assert chosen("/joint_states", "/a/cmd", "/b/cmd") == ("/joint_states", None)
+    assert chosen("/a", "/b", command="/a") == ("/b", "/a")
+    with pytest.raises(RecordingError, match=r"2 topics \(/leader, /measured\)"):
+        chosen("/measured", "/leader")
+    with pytest.raises(RecordingError, match="no joint states on topic '/follower'"):
+        chosen("/measured", "/leader", topic="/measured", command="/follower")

@@ -244,3 +244,21 @@ def test_newton_metres_go_before_percent(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_text("t,q_1,torque_1,torque_1 [%]\n0,1,2,30\n0.1,1,2,30\n")
     assert read_recording(log).tau[0, 0] == 2.0
+
+
+@pytest.mark.parametrize("first", ["position", "command"])
+@pytest.mark.parametrize("velocity", [True, False])
+def test_a_group_that_another_follows_is_its_command(
+    tmp_path: Path, values: dict[str, np.ndarray], first: str, velocity: bool
+) -> None:
+    groups = {"position": values["position"][:-2], "command": values["position"][2:]}
+    order = ["position", "command"] if first == "position" else ["command", "position"]
+    if velocity:
+        groups["velocity"] = values["velocity"][:-2]
+        order.append("velocity")
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([groups[each] for each in order]), delimiter=",")
+    sheet = _draft(path, rate=50.0)
+    for k, each in enumerate(order):
+        assert sheet["columns"][each] == f"{6 * k + 1}-{6 * k + 6}"
+    assert "torque" not in sheet["columns"]

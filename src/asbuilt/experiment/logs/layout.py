@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from asbuilt.description.model import ROOT, RobotModel
@@ -15,6 +16,7 @@ from asbuilt.experiment.logs.joint_matching import (
 from asbuilt.experiment.logs.roles import (
     Role,
     commanded,
+    goal_of_position,
     nanoseconds_beside,
     recognise,
     recognise_by_unit,
@@ -121,6 +123,8 @@ def find_layout(
     if torque is not None and not has_gains:
         _refuse_unscaled(source, torque, sheet)
     chosen = _chosen(groups, position, torque)
+    if torque is None:
+        notes += _without_command(chosen, groups["command", ""])
     labels = _sorted_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(position.names)}
     for quantity, group in chosen.items():
@@ -168,6 +172,20 @@ def _chosen(
         elif kind != "unscaled":
             chosen[_EXTRA_TORQUES[kind] if quantity == "torque" else f"{quantity}_{kind}"] = group
     return chosen
+
+
+def _without_command(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
+    """Leave out joints that no command is logged for, such as a gripper's, and say so."""
+    commanded = {role.joint for role in command.roles}
+    joints = [role.joint for role in chosen["position"].roles]
+    if "" in commanded or not commanded < set(joints):
+        return []
+    for group in chosen.values():
+        kept = [k for k, role in enumerate(group.roles) if role.joint in commanded]
+        group.names = [group.names[k] for k in kept]
+        group.roles = [group.roles[k] for k in kept]
+    listed = ", ".join(joint for joint in joints if joint not in commanded)
+    return [f"joints without a command were left out: {listed}"]
 
 
 def _refuse_unscaled(source: str, torque: _Group, sheet: RecordingSheet) -> None:
@@ -222,7 +240,40 @@ def _group(
         group = groups.setdefault((role.quantity, role.kind), _Group())
         group.names.append(name)
         group.roles.append(role)
-    return {**_groups_by_unit(names, groups), **groups}
+    for group in groups.values():
+        _count_by_index(group)
+    return {**_groups_by_unit(names, groups), **_goals(names, groups), **groups}
+
+
+def _count_by_index(group: _Group) -> None:
+    """Take out what all names of a group share, if they differ in a number alone.
+
+    So that `/controller/feedback/positions[0]` counts joints, and names none.
+    """
+    numbers = [role.index for role in group.roles]
+    if len(numbers) > 1 and len({role.joint for role in group.roles}) == 1:
+        if None not in numbers and len(set(numbers)) == len(numbers):
+            group.roles = [replace(role, joint="") for role in group.roles]
+
+
+def _goals(
+    names: Sequence[str], found: Mapping[tuple[str, str], _Group]
+) -> dict[tuple[str, str], _Group]:
+    """Return the commands that only a word such as setpoint names, one for each position."""
+    position = found.get(("position", ""))
+    if position is None:
+        return {}
+    goals = [(name, role) for name in names if (role := goal_of_position(name)) is not None]
+    group = _Group([name for name, _ in goals], [role for _, role in goals])
+    _count_by_index(group)
+    if not goals or _places(group) != _places(position):
+        return {}
+    return {("command", ""): group}
+
+
+def _places(group: _Group) -> list[tuple[str, int]]:
+    """Return which joint each column belongs to, by name or else by number, sorted."""
+    return sorted((role.joint, -1 if role.joint else role.index or 0) for role in group.roles)
 
 
 def _groups_by_unit(
@@ -417,6 +468,10 @@ def _aligned(
         return tuple(
             name for _, name in sorted(zip(numbers_in(own) or [], group.names, strict=True))
         )
+    with suppress(RecordingError):
+        order, assumed = match_joints(own, labels, source=source, robot=source)
+        if not assumed:
+            return tuple(group.names[k] for k in order)
     raise RecordingError(
         f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not those of the"
         f" position columns ({', '.join(labels)})",

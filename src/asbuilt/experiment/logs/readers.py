@@ -15,7 +15,12 @@ from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
 from asbuilt.experiment.logs.layout import Layout, find_layout
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
 from asbuilt.experiment.logs.role_files import merge_role_files, role_groups
-from asbuilt.experiment.logs.roles import quantity_of_file, recognise
+from asbuilt.experiment.logs.roles import (
+    commanded,
+    goal_of_position,
+    quantity_of_file,
+    recognise,
+)
 from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
 from asbuilt.experiment.logs.unnamed_columns import DRAFT, suggest_sheet
 from asbuilt.experiment.recording import Recording
@@ -217,8 +222,9 @@ def _read_tables(paths: list[Path], sheet: RecordingSheet) -> LogTable:
 
 
 def _is_whole(table: LogTable) -> bool:
-    found = {role.quantity for role in map(recognise, table.columns) if role is not None}
-    return "position" in found and bool({"torque", "current"} & found)
+    roles = [recognise(name) or commanded(name) or goal_of_position(name) for name in table.columns]
+    found = {role.quantity for role in roles if role is not None}
+    return "position" in found and bool({"torque", "current", "command"} & found)
 
 
 def _refuse_lone_role_file(path: Path, table: LogTable) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -115,17 +115,28 @@ _DESIRED = {
     "des",
     "cmd",
     "command",
+    "commands",
     "commanded",
     "ref",
     "reference",
+    "references",
     "setpoint",
+    "setpoints",
     "goal",
+    "goals",
+    "action",
+    "actions",
     "d",
     "error",
     "err",
 }
-_COMMANDS = {"command", "commanded", "cmd"}
+_COMMANDS = {"command", "commands", "commanded", "cmd"}
 """Words that make a command of a column without another quantity."""
+_GOALS = {
+    *("ref", "reference", "references", "setpoint", "setpoints", "goal", "goals"),
+    *("target", "targets", "desired", "des"),
+}
+"""Words that do so where each joint with a position has such a column, and no other has one."""
 _ANGLE_UNITS = {"deg", "degrees", "rad", "mrad"}
 """Units of angles at the end of a name: a command in another unit is none of positions."""
 _OTHER = {
@@ -149,6 +160,8 @@ _EXTERNAL = {"ext", "external", "extern"}
 _MEASURED = {
     "act",
     "actual",
+    "present",
+    "feedback",
     "measured",
     "meas",
     "msr",
@@ -346,6 +359,24 @@ def commanded(name: str) -> Role | None:
     >>> commanded("q_1"), commanded("target_velocity_1"), commanded("elbow_cmd_mA")
     (None, None, None)
     """
+    return _commanded(name, _COMMANDS)
+
+
+def goal_of_position(name: str) -> Role | None:
+    """Return the role of a column that names a joint and a word such as setpoint, and no quantity.
+
+    Examples
+    --------
+    >>> goal_of_position("elbow/setpoint").joint, goal_of_position("ref_2").index
+    ('elbow', 2)
+    >>> goal_of_position("setpoint_temperature"), goal_of_position("action_1")
+    (None, None)
+    """
+    return _commanded(name, _GOALS)
+
+
+def _commanded(name: str, alone: Set[str]) -> Role | None:
+    """Return the role of a commanded position; words of `alone` need no quantity beside them."""
     if name.startswith(_RSI_COMMAND):
         name = f"command {_RSI[_RSI_COMMAND]}{name.removeprefix(_RSI_COMMAND)}"
     spans = list(_TOKEN.finditer(name))
@@ -357,7 +388,7 @@ def commanded(name: str) -> Role | None:
         rest = rest[: found.start()] + rest[found.end() :]
     rest = re.sub(r"([_./ -])[_./ -]+", r"\1", rest).strip("_./ -")
     role = recognise(rest)
-    if role is None and _COMMANDS & {m.group().lower() for m in desired}:
+    if role is None and alone & {m.group().lower() for m in desired}:
         unit = _UNIT_SUFFIX.search(rest)
         if unit and unit.group(1).lower() not in _ANGLE_UNITS:
             return None
@@ -368,6 +399,17 @@ def commanded(name: str) -> Role | None:
     if role is None or role.quantity != "position" or role.kind:
         return None
     return replace(role, quantity="command")
+
+
+def names_command(name: str) -> bool:
+    """Return whether a name, such as that of a topic, says that it holds commands.
+
+    Examples
+    --------
+    >>> [names_command(each) for each in ("/joint_states", "/arm/joint_commands", "/desired_state")]
+    [False, True, True]
+    """
+    return bool(set(words_of(name)) & (_COMMANDS | _GOALS))
 
 
 def recognise_by_unit(name: str) -> Role | None:

@@ -144,7 +144,8 @@ class RecordingSheet(_Part):
     names joints that are not identified, with their positions [rad or m] if these are known.
     `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
     of the log. `kp`, `kd` and the limits are those of the position servo, "auto" if unknown; of
-    the acceleration and the speed of its goal also "none".
+    the acceleration and the speed of its goal also "none". `topic` and `command_topic` are those
+    of the joint states and of the commanded ones in a bag.
     `date` is when the recording began, in UTC unless it names a time zone.
 
     Examples
@@ -180,6 +181,7 @@ class RecordingSheet(_Part):
         default_factory=dict
     )
     topic: str | None = None
+    command_topic: str | None = None
     date: datetime | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -29,6 +29,9 @@ CLEARLY_BETTER = 0.1
 DEGREES_PER_RADIAN = 180 / np.pi
 RADIANS_ARE_LESS = DEGREE**0.5
 """Ratio of velocities to the slope of positions in degrees, above which they are degrees too."""
+FOLLOWING = 0.3
+"""Difference of two groups, relative to their spread, up to which one is the command of the
+other."""
 STEPS = {"ns": 2e5, "us": 200.0, "ms": 0.2, "s": -np.inf}
 """Units of time, and the least median step in each: 0.2 s."""
 
@@ -47,7 +50,8 @@ def suggest_sheet(
     """Return a recording sheet for columns of unknown meaning, as far as their values decide it.
 
     The first column that increases, other than a counter of the rows, is time; a group that is
-    another's derivative is its velocity. With a robot, torque is the first group that correlates
+    another's derivative is its velocity; one that another follows closely is its command. With a
+    robot, torque is the first group that correlates
     clearly with its gravity torques at the positions, which are degrees if that correlates better;
     without one, the first of the groups left over.
 
@@ -90,9 +94,15 @@ def suggest_sheet(
     if clock is not None and (unit := _time_unit(clock)) != "s":
         units["time"], clock = unit, clock * (unit_scale(unit) or 1.0)
     t = np.arange(values[0].size) / (rate or 100.0) if clock is None else clock
-    position, velocity, torques, degrees = _roles(t, groups, model)
+    pair = _position_and_command(t, groups)
+    kept = [k for k in range(len(groups)) if pair is None or k != pair[1]]
+    position, velocity, torques, degrees = _roles(
+        t, [groups[k] for k in kept], model, None if pair is None else kept.index(pair[0])
+    )
+    position, torques = kept[position], [kept[k] for k in torques]
+    velocity = None if velocity is None else kept[velocity]
     if degrees:
-        units["position"] = "deg"
+        units |= dict.fromkeys(["position"] if pair is None else ["position", "command"], "deg")
     if velocity is not None:
         units |= _velocity_unit(t, groups[position], groups[velocity], degrees)
     if units:
@@ -104,6 +114,8 @@ def suggest_sheet(
     lines.append(f"position = {spans[position]}")
     if velocity is not None:
         lines.append(f"velocity = {spans[velocity]}")
+    if pair is not None:
+        lines.append(f"command = {spans[pair[1]]}")
     if torques:
         also = ", ".join(spans[k] for k in torques[1:])
         lines.append(f"torque = {spans[torques[0]]}{f'  # or {also}' if also else ''}")
@@ -149,19 +161,59 @@ def _velocity_unit(t: Array, q: Array, qd: Array, degrees: bool) -> dict[str, st
     return {"velocity": "deg/s"} if in_degrees else {}
 
 
+def _position_and_command(t: Array, groups: list[Array]) -> tuple[int, int] | None:
+    """Return two groups of which the first follows the second closely, and later.
+
+    It is the group of which another is the derivative, if there is one. None if no group follows
+    another, or several do, such as currents too.
+    """
+    moving = _derivative_pair(t, groups, None)
+    found = [
+        (i, k)
+        for i, k in combinations(range(len(groups)), 2)
+        if (moving is None or moving[0] in (i, k)) and _apart(groups[i], groups[k]) < FOLLOWING
+    ]
+    if len(found) != 1:
+        return None
+    (i, k) = found[0]
+    if moving is not None:
+        return (i, k) if i == moving[0] else (k, i)
+    return (i, k) if _is_later(t, groups[i], groups[k]) else (k, i)
+
+
+def _apart(one: Array, other: Array) -> float:
+    """Return the RMS difference of groups relative to their spread, the median over joints."""
+    ok = np.all(np.isfinite(one) & np.isfinite(other), axis=1)
+    spread = np.std(other[ok], axis=0) if ok.any() else np.zeros(other.shape[1])
+    moves = spread > 0.0
+    if not moves.any() or np.array_equal(one[ok], other[ok]):
+        return np.inf
+    error = np.sqrt(np.mean((one - other)[ok] ** 2, axis=0))
+    return float(np.median(error[moves] / spread[moves]))
+
+
+def _is_later(t: Array, q: Array, u: Array) -> bool:
+    """Whether q follows u: to first order `q = u - delay u'`, so that `u' (q - u)` is negative."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.gradient(0.5 * (q + u), axis=0) / np.gradient(t)[:, None]
+    lags = np.nansum(np.where(np.isfinite(rate), rate * (q - u), np.nan), axis=0)
+    spread = np.nanstd(u, axis=0)
+    return float(np.sum(lags[spread > 0.0] / spread[spread > 0.0] ** 2)) < 0.0
+
+
 def _roles(
-    t: Array, groups: list[Array], model: RobotModel | None
+    t: Array, groups: list[Array], model: RobotModel | None, known: int | None
 ) -> tuple[int, int | None, list[int], bool]:
     """Return the groups of positions and velocities, those of torques, the likeliest first.
 
-    And whether the positions are degrees.
+    And whether the positions are degrees. `known` is the group of positions, if that is known.
     """
-    position, velocity = _position_and_velocity(t, groups)
+    position, velocity = _position_and_velocity(t, groups, known)
     if model is None:
         rest = [k for k in range(len(groups)) if k not in (position, velocity)]
         return position, velocity, rest, bool(_largest(groups[position]) > LARGEST_RADIANS)
     plain, turned = _load_matches(model, groups, 1.0), _load_matches(model, groups, DEGREE)
-    if velocity is None:
+    if velocity is None and known is None:
         best = np.maximum(np.max(plain, axis=1), np.max(turned, axis=1))
         position = int(np.argmax(best))
     degrees = _largest(groups[position]) > LARGEST_RADIANS or (
@@ -218,14 +270,22 @@ def _increases(values: Array) -> bool:
     return finite.size > 1 and bool(np.all(np.diff(finite) >= 0)) and finite[-1] > finite[0]
 
 
-def _position_and_velocity(t: Array, groups: list[Array]) -> tuple[int, int | None]:
+def _position_and_velocity(
+    t: Array, groups: list[Array], known: int | None
+) -> tuple[int, int | None]:
     """Return the groups of which the second follows the derivative of the first, or the first."""
+    pair = _derivative_pair(t, groups, known)
+    return pair if pair is not None else (known or 0, None)
+
+
+def _derivative_pair(t: Array, groups: list[Array], known: int | None) -> tuple[int, int] | None:
+    """Return the groups of which the second follows the derivative of the first, if any."""
     best, pair = 0.8, None
     for i, q in enumerate(groups):
         for k, qd in enumerate(groups):
-            if i != k and (match := _derivative_match(t, q, qd)) > best:
+            if i != k and known in (None, i) and (match := _derivative_match(t, q, qd)) > best:
                 best, pair = match, (i, k)
-    return pair if pair is not None else (0, None)
+    return pair
 
 
 def _derivative_match(t: Array, q: Array, qd: Array) -> float:

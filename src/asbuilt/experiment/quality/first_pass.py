@@ -38,6 +38,8 @@ class FirstPass:
 
     Parameters
     ----------
+    stiffness_unknown
+        Whether the torques are control errors of a servo whose stiffness is to be identified.
     t
         Times [s], shape (N,).
     not_repeated
@@ -62,6 +64,7 @@ class FirstPass:
     notes: tuple[str, ...]
     n_chunks: int
     first_torque: float
+    stiffness_unknown: bool
     t: Array
     not_repeated: Mask
     valid_torque: Mask
@@ -141,6 +144,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         notes=first.notes,
         n_chunks=len(times),
         first_torque=float(first.tau[0, 0]),
+        stiffness_unknown=first.servo is not None and bool(np.any(np.isnan(first.servo.kp))),
         t=np.concatenate(times),
         not_repeated=not_repeated,
         valid_torque=valid_torque,

@@ -18,11 +18,17 @@ def servo_left_out(
         return ()
     lacks = f"{kind} has no place for"
     notes = []
-    if not delay and servo.delay:
-        notes.append(
-            f"{lacks} the delay of the servo: give the simulator each command"
-            f" {1e3 * servo.delay:.3g} ms later"
-        )
+    if late := servo.delay or 0.0:
+        if late < 0.0:
+            notes.append(
+                f"{lacks} a delay below zero, {1e3 * late:.3g} ms: give the simulator each command"
+                f" {-1e3 * late:.3g} ms earlier"
+            )
+        elif not delay:
+            notes.append(
+                f"{lacks} the delay of the servo: give the simulator each command"
+                f" {1e3 * late:.3g} ms later"
+            )
     if servo.limits_goal:
         notes.append(
             f"{lacks} the limit of the goal's acceleration, {min(servo.goal_acceleration):.4g}"

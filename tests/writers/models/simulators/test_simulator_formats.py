@@ -106,6 +106,41 @@ def test_what_a_servo_has_beyond_proportional_control_is_held_or_said(
     assert "delay" in " ".join(export.notes["isaac-lab"])
 
 
+@pytest.mark.parametrize("limits", [(np.inf, np.inf), (np.inf, 7.0)])
+def test_isaac_lab_leaves_joints_without_a_limit_unlimited(
+    result: IdentificationResult, tmp_path: Path, limits: tuple[float, float]
+) -> None:
+    assert result.servo is not None
+    free = replace(result, servo=replace(result.servo, torque_limit=limits))
+    joints = tuple(
+        replace(joint, limits=replace(joint.limits, torque=limit))
+        for joint, limit in zip(result.model.joints, limits, strict=True)
+    )
+    free = replace(free, model=replace(result.model, joints=joints))
+    export = export_result(free, simulators={"isaac-lab": tmp_path / "a.py"})
+    space = run_with(
+        export.files["isaac-lab"].read_text(),
+        {"isaaclab.actuators": {"DelayedPDActuatorCfg": dict}},
+    )
+    (group,) = space["actuators"](0.002).values()
+    # a joint that a table of Isaac Lab lacks has the limit 0; without a table, that of the USD file
+    expected = [1e9, 7.0] if np.isfinite(limits[1]) else None
+    found = group.get("effort_limit")
+    assert (None if found is None else list(found.values())) == expected
+
+
+def test_a_delay_below_zero_is_written_as_zero_and_said(
+    result: IdentificationResult, tmp_path: Path
+) -> None:
+    assert result.servo is not None
+    early = replace(result, servo=replace(result.servo, delay=-0.004))
+    places = {key: tmp_path / f"{key}.xml" for key in SIMULATOR_FORMATS}
+    export = export_result(early, mjcf=tmp_path / "robot.xml", simulators=places)
+    for key in ("mjcf", *SIMULATOR_FORMATS):
+        assert "a delay below zero, -4 ms" in " ".join(export.notes[key])
+        assert "-0.004" not in export.files[key].read_text()
+
+
 def test_usd_has_angular_coefficients_per_degree(
     result: IdentificationResult, written: Export
 ) -> None:
@@ -130,15 +165,16 @@ def test_usd_has_angular_coefficients_per_degree(
 def test_mjlab_ranges_are_those_of_draws(result: IdentificationResult, written: Export) -> None:
     text = written.files["mjlab"].read_text()
     parts = {
-        "mjlab.actuator": {"BuiltinPositionActuatorCfg": dict, "DelayedActuatorCfg": dict},
+        "mjlab.actuator": {"BuiltinPositionActuatorCfg": dict},
         "mjlab.envs.mdp": {"dr": types.SimpleNamespace(dof_damping=1, dof_frictionloss=2)},
         "mjlab.managers.event_manager": {"EventTermCfg": dict},
         "mjlab.managers.scene_entity_config": {"SceneEntityCfg": lambda *a, **k: (a, k)},
     }
     space = run_with(text, parts)
     first, _ = space["actuators"](0.004)
-    assert first["delay_min_lag"] == 3
-    assert first["base_cfg"]["stiffness"] == 40.0
+    assert first["delay_min_lag"] == first["delay_max_lag"] == 3
+    assert first["stiffness"] == 40.0
+    assert first["viscous_damping"] == friction(result)["Fv"][0]
     events = space["events"]()
     assert len(events) == 4
     quantiles = draw_ensemble(result, 200, rng=0).quantiles

@@ -5,17 +5,19 @@ from __future__ import annotations
 import contextlib
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
+from asbuilt.experiment.logs.roles import names_command
 from asbuilt.findings import Cure
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -23,13 +25,16 @@ _UNPACKED = 4_000_000_000
 """Bytes that a compressed bag may unpack to."""
 
 
-def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
+def read_ros_bag(
+    path: Path, *, topic: str | None = None, command_topic: str | None = None
+) -> LogTable:
     """Read joint states from the folder of a ROS 2 bag, a bare file of one, or a ROS 1 `.bag`.
 
     A bare file is a `.db3`, also compressed as `.db3.zstd`, or an `.mcap` of ROS 2.
 
     Times are the message header's if it has one, else the bag's. Messages that name other joints
-    than most (a gripper's) are left out; joints are matched by name in every message.
+    than most (a gripper's) are left out; joints are matched by name in every message. Joint states
+    on `command_topic`, or on the only other topic whose name says so, are commanded positions.
 
     Raises
     ------
@@ -37,7 +42,7 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
         If rosbags is not installed.
     RecordingError
         If the bag cannot be read, has no joint states, or has several topics of them and `topic`
-        does not say which.
+        does not say which, or neither efforts nor commands.
     """
     try:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -45,7 +50,7 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
         raise MissingExtraError("rosbags", "bags", f"reading {path}") from error
     first_ros = path.suffix == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if first_ros else Stores.ROS2_HUMBLE)
-    messages, topics = _messages(path, topic)
+    messages, sent, topics = _messages(path, topic, command_topic)
     if not messages:
         listing = ", ".join(sorted(topics)) or "none"
         raise RecordingError(
@@ -56,20 +61,28 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
     read: Callable[[bytes, str], Any] = (
         store.deserialize_ros1 if first_ros else store.deserialize_cdr
     )
-    states = [(stamp, read(data, JOINT_STATE)) for stamp, data in messages]
-    return joint_state_table(path, states)
+    states, commands = (
+        [(stamp, read(data, JOINT_STATE)) for stamp, data in each] for each in (messages, sent)
+    )
+    return joint_state_table(path, states, commands)
 
 
-def joint_state_table(path: Path, states: list[tuple[int, Any]]) -> LogTable:
+def joint_state_table(
+    path: Path, states: list[tuple[int, Any]], commands: list[tuple[int, Any]]
+) -> LogTable:
     """Return joint states, with the times [ns] at which they were logged, as a table.
 
-    Raises `RecordingError` if they have no effort.
+    The command at the time of a state is the last one sent until then. Raises `RecordingError` if
+    there is neither an effort nor a command.
     """
     names = _usual_names(states)
-    kept = [(stamp, state) for stamp, state in states if set(names) <= set(state.name)]
-    first = kept[0][1]
+    kept = _naming(states, names)
+    of_commands = set(_usual_names(commands)) if commands else set[str]()
+    commanded = tuple(name for name in names if name in of_commands)
+    commands = _naming(commands, commanded) if commanded else []
+    stamps, sent = _clocks(kept, commands)
     known: dict[str, tuple[str, str]] = {}
-    columns: dict[str, Array] = {"time": _times(kept)}
+    columns: dict[str, Array] = {"time": (stamps - stamps[0]).astype(np.float64) * 1e-9}
     for field, quantity in (
         ("position", "position"),
         ("velocity", "velocity"),
@@ -81,32 +94,44 @@ def joint_state_table(path: Path, states: list[tuple[int, Any]]) -> LogTable:
         for k, name in enumerate(names):
             columns[f"{name}/{field}"] = np.ascontiguousarray(values[:, k])
             known[f"{name}/{field}"] = (quantity, name)
-    if not any(quantity == "torque" for quantity, _ in known.values()):
+    notes = []
+    values = _values(commands, "position", commanded) if commands else None
+    if values is not None:
+        last = np.searchsorted(sent, stamps, side="right") - 1
+        if before := int(np.count_nonzero(last < 0)):
+            notes.append(f"{before} states before the first command count as commanded like it")
+        for k, name in enumerate(commanded):
+            columns[f"{name}/command"] = np.ascontiguousarray(values[np.maximum(last, 0), k])
+            known[f"{name}/command"] = ("command", name)
+    if not any(quantity in ("torque", "command") for quantity, _ in known.values()):
         raise RecordingError(
-            f"{path}: the joint states of {', '.join(first.name)} have no effort; torques or"
-            " currents are required",
+            f"{path}: the joint states of {', '.join(names)} have no effort, and no topic holds"
+            " their commands; torques, currents or commanded positions are required",
+            cure=Cure('name the topic of the commands in a recording sheet: command_topic = "..."'),
             file=str(path),
         )
-    dropped = len(states) - len(kept)
-    notes = (
-        (f"{dropped} of {len(states)} messages name other joints and were left out",)
-        if dropped
-        else ()
-    )
-    return LogTable(source=str(path), columns=columns, known=known, notes=notes)
+    if dropped := len(states) - len(kept):
+        notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
+    return LogTable(source=str(path), columns=columns, known=known, notes=tuple(notes))
 
 
-def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
+def _messages(
+    path: Path, topic: str | None, command_topic: str | None
+) -> tuple[list[tuple[int, bytes]], list[tuple[int, bytes]], dict[str, int]]:
+    """Return the joint states and the commands with their times of logging, and all topics."""
     try:
         with _opened(path) as bag:
             topics = {c.topic: c.msgcount for c in bag.connections}
             found = [c for c in bag.connections if c.msgtype == JOINT_STATE]
-            chosen = chosen_topic(path, {c.topic for c in found}, topic)
-            found = [c for c in found if c.topic == chosen]
-            messages = (
-                [(stamp, bytes(data)) for _, stamp, data in bag.messages(connections=found)]
-                if found
+            chosen = chosen_topics(path, {c.topic for c in found}, topic, command_topic)
+            messages, sent = (
+                [
+                    (stamp, bytes(data))
+                    for _, stamp, data in bag.messages([c for c in found if c.topic == each])
+                ]
+                if each is not None
                 else []
+                for each in chosen
             )
     except RecordingError:
         raise
@@ -117,7 +142,7 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
             f" ({type(error).__name__}: {error})",
             file=str(path),
         ) from error
-    return messages, topics
+    return messages, sent, topics
 
 
 @contextlib.contextmanager
@@ -170,28 +195,46 @@ def _unpacked(packed: Path, target: Path) -> Path:
     return target
 
 
-def chosen_topic(path: Path, topics: set[str], topic: str | None) -> str | None:
-    """Return the topic of the joint states among those that have some; raises if undecided."""
-    if topic is not None:
-        if topic not in topics:
+def chosen_topics(
+    path: Path, topics: set[str], topic: str | None, command_topic: str | None
+) -> tuple[str | None, str | None]:
+    """Return the topics of the joint states and of their commands among those that have some.
+
+    A topic whose name says command, desired, target or the like holds commands. Raises
+    `RecordingError` if it is not clear which topic holds the states, or one does not exist.
+    """
+    for each in (topic, command_topic):
+        if each is not None and each not in topics:
             raise RecordingError(
-                f"{path} has no joint states on topic {topic!r}; it has them on"
+                f"{path} has no joint states on topic {each!r}; it has them on"
                 f" {', '.join(sorted(topics)) or 'no topic'}",
                 file=str(path),
-                value=topic,
+                value=each,
                 available=sorted(topics),
             )
-        return topic
-    if len(topics) > 1:
-        if "/joint_states" in topics:
-            return "/joint_states"
-        raise RecordingError(
-            f"{path} has joint states on {len(topics)} topics ({', '.join(sorted(topics))})",
-            cure=Cure('choose one in a recording sheet: topic = "..."'),
-            file=str(path),
-            available=sorted(topics),
-        )
-    return next(iter(topics), None)
+    states = {each for each in topics if each != command_topic and not names_command(each)}
+    if topic is not None:
+        chosen: str | None = topic
+    elif "/joint_states" in states:
+        chosen = "/joint_states"
+    else:
+        chosen = next(iter(states or topics), None)
+        if len(states or topics) > 1:
+            raise RecordingError(
+                f"{path} has joint states on {len(topics)} topics ({', '.join(sorted(topics))})",
+                cure=Cure('choose one in a recording sheet: topic = "..."'),
+                file=str(path),
+                available=sorted(topics),
+            )
+    if command_topic is None:
+        named = [each for each in topics if each != chosen and names_command(each)]
+        command_topic = named[0] if len(named) == 1 else None
+    return chosen, command_topic
+
+
+def _naming(states: list[tuple[int, Any]], names: Sequence[str]) -> list[tuple[int, Any]]:
+    """Return the messages that name all of these joints."""
+    return [(stamp, state) for stamp, state in states if set(names) <= set(state.name)]
 
 
 def _usual_names(states: list[tuple[int, Any]]) -> tuple[str, ...]:
@@ -205,18 +248,22 @@ def _usual_names(states: list[tuple[int, Any]]) -> tuple[str, ...]:
     return tuple(next(state.name for _, state in states if tuple(sorted(state.name)) == best))
 
 
-def _times(states: list[tuple[int, Any]]) -> Array:
-    stamps = np.array(
-        [
-            state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
-            for _, state in states
-        ],
-        dtype=np.int64,
-    )
-    if len(set(stamps.tolist())) < max(2, len(states) // 2):
-        stamps = np.array([stamp for stamp, _ in states], dtype=np.int64)
-    seconds: Array = (stamps - stamps[0]).astype(np.float64) * 1e-9
-    return seconds
+def _clocks(
+    states: list[tuple[int, Any]], commands: list[tuple[int, Any]]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the times [ns] of states and commands by one clock.
+
+    It is that of the headers, unless one of them has none.
+    """
+    groups = [each for each in (states, commands) if each]
+    stamped = [np.array([_stamp(state) for _, state in each], dtype=np.int64) for each in groups]
+    if any(len(np.unique(each)) < max(2, len(each) // 2) for each in stamped):
+        stamped = [np.array([stamp for stamp, _ in each], dtype=np.int64) for each in groups]
+    return stamped[0], stamped[1] if commands else np.empty(0, dtype=np.int64)
+
+
+def _stamp(state: Any) -> int:
+    return int(state.header.stamp.sec) * 1_000_000_000 + int(state.header.stamp.nanosec)
 
 
 def _values(states: list[tuple[int, Any]], field: str, names: tuple[str, ...]) -> Array | None:
@@ -237,7 +284,9 @@ FORMATS.register(
     "rosbag",
     LogFormat(
         suffixes=(".db3", ".bag", ".zstd"),
-        read=lambda path, sheet: read_isolated(read_ros_bag, path, topic=sheet.topic),
+        read=lambda path, sheet: read_isolated(
+            read_ros_bag, path, topic=sheet.topic, command_topic=sheet.command_topic
+        ),
         folders=True,
     ),
 )

@@ -201,6 +201,9 @@ def _sign_and_scale(
             _signs_cure(model, sign, [*alone, *doubtful]),
         )
     low, high = THRESHOLDS.plausible
+    if recording.stiffness_unknown:
+        yield _stiffness(model, scale)
+        return
     if not low < scale < high:
         yield _scale_finding(model, recording, scale, evidence)
         return
@@ -261,8 +264,22 @@ def _flipped_joint(
     return Finding("joint_torque_flipped", severity, message, cure, joint=model.joint_names[k])
 
 
+def _stiffness(model: RobotModel, scale: float) -> Finding:
+    """Return what the masses of the description say of an unknown stiffness."""
+    return Finding(
+        "servo_stiffness",
+        "info",
+        f"the stiffness of the position servo is not stated; the masses of {model.name} give about"
+        f" {1.0 / scale:.2g} N m/rad",
+        Cure("give the stiffness if it is known; else it is identified, with its error"),
+    )
+
+
 def _scale_finding(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
-    if 300 < scale < 3000:
+    if recording.torque_source == "command":
+        guess = "the stiffness of the servo differs"
+        cure = Cure("check it, or leave it out, so that it is identified")
+    elif 300 < scale < 3000:
         guess = "they look like mN m"
         cure = Cure('write units = { torque = "mN m" } in a recording sheet')
     elif scale < 0.3 and (scale > 0.005 or recording.torque_source == "current"):

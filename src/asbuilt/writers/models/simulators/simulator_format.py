@@ -37,8 +37,8 @@ class ExportedDrives:
 
     @property
     def delay(self) -> float:
-        """Delay of the servo [s]."""
-        return 0.0 if self.servo is None else self.servo.delay or 0.0
+        """Delay of the servo [s], zero where it is below: no simulator has commands early."""
+        return 0.0 if self.servo is None else max(self.servo.delay or 0.0, 0.0)
 
     @property
     def has_gains(self) -> bool:

@@ -17,7 +17,7 @@ from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTa
 from asbuilt.experiment.logs.formats.mcap.records import Channel, McapRecords
 from asbuilt.experiment.logs.formats.ros_bag import (
     JOINT_STATE,
-    chosen_topic,
+    chosen_topics,
     joint_state_table,
     read_ros_bag,
 )
@@ -55,13 +55,16 @@ class JointState:
     effort: Array
 
 
-def read_mcap(path: Path, *, topic: str | None = None) -> LogTable:
+def read_mcap(
+    path: Path, *, topic: str | None = None, command_topic: str | None = None
+) -> LogTable:
     """Read joint states of ROS 2, or messages in JSON, from an MCAP file.
 
     JSON messages are joint states (`name`, `position`, `velocity`, `effort`), lists of joints
     (`joints` with `name`, `position`, ... each, as `foxglove.JointStates`), or objects whose
-    numbers and lists of numbers become columns such as `q_1`. A file that was cut off is read as
-    far as it goes.
+    numbers and lists of numbers become columns such as `q_1`. Joint states on `command_topic`, or
+    on the only other topic whose name says so, are commanded positions. A file that was cut off is
+    read as far as it goes.
 
     Raises
     ------
@@ -80,7 +83,7 @@ def read_mcap(path: Path, *, topic: str | None = None) -> LogTable:
         elif _is_joint_state(channel):
             of_ros.add(channel.topic)
     if of_ros and (topic is None or topic in of_ros):
-        return read_ros_bag(path, topic=topic)
+        return read_ros_bag(path, topic=topic, command_topic=command_topic)
     if not found:
         others = sorted({f"{c.topic} ({c.encoding})" for c in records.channels.values()})
         raise RecordingError(
@@ -89,7 +92,8 @@ def read_mcap(path: Path, *, topic: str | None = None) -> LogTable:
             cure=Cure("record the joint states' topic"),
             file=str(path),
         )
-    table = _table(path, {each: _parsed(path, each, found[each]) for each in found}, topic)
+    parsed = {each: _parsed(path, each, found[each]) for each in found}
+    table = _table(path, parsed, topic, command_topic)
     if records.complete:
         return table
     note = f"the file is cut off after {table.n_samples} messages"
@@ -118,15 +122,20 @@ def _parsed(path: Path, topic: str, messages: Sequence[tuple[int, bytes]]) -> li
     return objects
 
 
-def _table(path: Path, topics: Mapping[str, list[tuple[int, Any]]], topic: str | None) -> LogTable:
+def _table(
+    path: Path,
+    topics: Mapping[str, list[tuple[int, Any]]],
+    topic: str | None,
+    command_topic: str | None,
+) -> LogTable:
     states = {
         name: [(stamp, state) for stamp, each in objects if (state := _state(stamp, each))]
         for name, objects in topics.items()
     }
     joint_states = {name for name, each in states.items() if each}
     if joint_states and (topic is None or topic in joint_states):
-        chosen = chosen_topic(path, joint_states, topic)
-        return joint_state_table(path, states[str(chosen)])
+        chosen, commands = chosen_topics(path, joint_states, topic, command_topic)
+        return joint_state_table(path, states[str(chosen)], states[commands] if commands else [])
     if topic is None and len(topics) > 1:
         raise RecordingError(
             f"{path} has messages in JSON on {len(topics)} topics ({', '.join(sorted(topics))})",
@@ -238,6 +247,8 @@ FORMATS.register(
     "mcap",
     LogFormat(
         suffixes=(".mcap",),
-        read=lambda path, sheet: read_isolated(read_mcap, path, topic=sheet.topic),
+        read=lambda path, sheet: read_isolated(
+            read_mcap, path, topic=sheet.topic, command_topic=sheet.command_topic
+        ),
     ),
 )

@@ -15,7 +15,7 @@ from asbuilt.writers.models.simulators.simulator_format import (
 
 HEAD = '''"""Actuators of {origin}.
 
-For isaaclab 2 (Isaac Sim 5, where joint friction is a torque). Use:
+For isaaclab 2.3 and 3 (Isaac Sim 5 and later, where joint friction is a torque). Use:
 
     ArticulationCfg(..., actuators=actuators(physics_step=0.005))
 """
@@ -33,8 +33,7 @@ def actuators(physics_step):
             joint_names_expr=list(STIFFNESS),
             stiffness=STIFFNESS,
             damping=DAMPING,
-            {limit}=EFFORT_LIMIT,
-            armature=ARMATURE,
+{limit}            armature=ARMATURE,
             friction=COULOMB_FRICTION,
             dynamic_friction=COULOMB_FRICTION,
             viscous_friction=VISCOUS_FRICTION,{more}
@@ -44,6 +43,8 @@ def actuators(physics_step):
 DELAYED = """
             min_delay=round(DELAY / physics_step),
             max_delay=round(DELAY / physics_step),"""
+UNLIMITED = 1e9
+"""Effort limit that stands for none [N m or N]: a joint that a table lacks would have zero."""
 MOTOR = """
             saturation_effort={effort!r},
             velocity_limit={speeds},"""
@@ -61,15 +62,12 @@ class IsaacLab(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the module and its notes."""
-        limits = {
-            joint.name: joint.limits.torque
-            for joint in drives.plain.joints
-            if np.isfinite(joint.limits.torque)
-        }
+        limits = {joint.name: min(joint.limits.torque, UNLIMITED) for joint in drives.plain.joints}
+        limited = any(limit < UNLIMITED for limit in limits.values())
         tables = {
             "STIFFNESS": (drives.by_joint(lambda j: j.drive.kp), "N m/rad or N/m"),
             "DAMPING": (drives.by_joint(lambda j: j.drive.kd), "N m s/rad or N s/m"),
-            "EFFORT_LIMIT": (limits, "N m or N"),
+            **({"EFFORT_LIMIT": (limits, "N m or N")} if limited else {}),
             "ARMATURE": (drives.by_joint(lambda j: j.drive.armature), "kg m^2 or kg"),
             "COULOMB_FRICTION": (drives.by_joint(lambda j: j.drive.coulomb), "N m or N"),
             "VISCOUS_FRICTION": (
@@ -78,10 +76,11 @@ class IsaacLab(SimulatorFormat):
             ),
         }
         kind, more = _actuator(drives)
+        holder = "effort_limit_sim" if kind == "ImplicitActuatorCfg" else "effort_limit"
         text = HEAD.format(
             origin=drives.origin,
             kind=kind,
-            limit="effort_limit_sim" if kind == "ImplicitActuatorCfg" else "effort_limit",
+            limit=f"            {holder}=EFFORT_LIMIT,\n" if limited else "",
             tables="".join(_table(name, *each) for name, each in tables.items()),
             delay=drives.delay,
             more=more,

@@ -19,18 +19,18 @@ FIELDS = {"dof_armature": "Ia", "dof_damping": "Fv", "dof_frictionloss": "Fc"}
 """Field of MuJoCo and the symbol of the parameter that it holds."""
 TEXT = '''"""Actuators and ranges of {origin}.
 
-ACTUATORS goes into EntityArticulationInfoCfg(actuators=...), events() into the events of the
-environment: absolute values, 5 to 95 % of what the recording allows. Ranges of single joints know
-no correlation; an ensemble of asbuilt keeps it.
+For mjlab 1.6. actuators(physics_step) goes into EntityArticulationInfoCfg(actuators=...), events()
+into the events of the environment: absolute values, 5 to 95 % of what the recording allows. Ranges
+of single joints know no correlation; an ensemble of asbuilt keeps it.
 """
 
-from mjlab.actuator import BuiltinPositionActuatorCfg, DelayedActuatorCfg
+from mjlab.actuator import BuiltinPositionActuatorCfg
 from mjlab.envs.mdp import dr
 from mjlab.managers.event_manager import EventTermCfg
 from mjlab.managers.scene_entity_config import SceneEntityCfg
 
 # joint: stiffness [N m/rad], damping [N m s/rad], effort limit [N m], armature [kg m^2],
-# friction loss [N m]
+# friction loss [N m], viscous friction [N m s/rad]; in N and m where the joint slides
 JOINTS = {{
 {joints}}}
 DELAY = {delay!r}  # of the command [s]
@@ -40,7 +40,8 @@ RANGES = {{
 
 def actuators(physics_step):
     """Return one actuator for each joint, for a physics step [s]."""
-    made = [
+    lag = round(DELAY / physics_step)
+    return tuple(
         BuiltinPositionActuatorCfg(
             target_names_expr=(name,),
             stiffness=kp,
@@ -48,18 +49,12 @@ def actuators(physics_step):
             effort_limit=limit,
             armature=armature,
             frictionloss=friction,
+            viscous_damping=viscous,
+            delay_min_lag=lag,
+            delay_max_lag=lag,
         )
-        for name, (kp, kd, limit, armature, friction) in JOINTS.items()
-    ]
-    lag = round(DELAY / physics_step)
-    if lag:
-        made = [
-            DelayedActuatorCfg(
-                base_cfg=each, delay_target="position", delay_min_lag=lag, delay_max_lag=lag
-            )
-            for each in made
-        ]
-    return tuple(made)
+        for name, (kp, kd, limit, armature, friction, viscous) in JOINTS.items()
+    )
 
 
 def events(entity="robot"):
@@ -91,7 +86,7 @@ class Mjlab(SimulatorFormat):
         joints = "".join(
             f"    {re.escape(joint.name)!r}: ({joint.drive.kp or 0.0!r}, {joint.drive.kd or 0.0!r},"
             f" {_number(joint.limits.torque)}, {joint.drive.armature or 0.0!r},"
-            f" {joint.drive.coulomb or 0.0!r}),\n"
+            f" {joint.drive.coulomb or 0.0!r}, {joint.drive.viscous or 0.0!r}),\n"
             for joint in drives.plain.joints
         )
         text = TEXT.format(
