@@ -251,9 +251,9 @@ def _count_by_index(group: _Group) -> None:
     So that `/controller/feedback/positions[0]` counts joints, and names none.
     """
     numbers = [role.index for role in group.roles]
-    if len(numbers) > 1 and len({role.joint for role in group.roles}) == 1:
-        if None not in numbers and len(set(numbers)) == len(numbers):
-            group.roles = [replace(role, joint="") for role in group.roles]
+    counts = None not in numbers and len(set(numbers)) == len(numbers) > 1
+    if counts and len({role.joint for role in group.roles}) == 1:
+        group.roles = [replace(role, joint="") for role in group.roles]
 
 
 def _goals(
