@@ -71,7 +71,9 @@ class VirtualType:
         base = find_base_parameters(model, drive)
         plan = RegressorPlan.of(model, drive, base.columns, spare_rows=1)
         n = model.n_joints
-        columns = FleetColumns(base, tuple(plan.support), model.joint_names, ("N m",) * n)
+        columns = FleetColumns(
+            base, tuple(plan.support), model.joint_names, ("N m",) * n, model.tool_link
+        )
         tilted = [
             model.with_gravity(np.cross(model.gravity, a)) for a in axes_across(model.gravity)
         ]

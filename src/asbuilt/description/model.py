@@ -214,6 +214,25 @@ class RobotModel:
         return tuple(followed(self.name, joint, every)[1] for joint in every)
 
     @property
+    def tool_link(self) -> int:
+        """Link that carries a tool: that of the last drive; below fingers, the one that has them.
+
+        Fingers are links of different branches that one drive moves.
+
+        >>> from asbuilt.description.catalogue import bundled_robot
+        >>> bundled_robot("puma-560").tool_link
+        5
+        """
+        parents, moved_by, link = self.parents, self.link_joints, self.n_joints - 1
+        while (up := parents[link]) != ROOT and any(
+            parent == up and moved_by[other] == moved_by[link]
+            for other, parent in enumerate(parents)
+            if other != link
+        ):
+            link = up
+        return link
+
+    @property
     def link_order(self) -> tuple[int, ...]:
         """The links in an order in which parents come before what they carry."""
         return tuple(tree_order(self.name, self.moving_joints, self.n_joints))

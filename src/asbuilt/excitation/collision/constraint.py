@@ -194,7 +194,7 @@ class ToolBox(StateConstraint):
         last = (
             model.frames[-1].name
             if model.frames and model.frames[-1].link != ROOT
-            else model.link_names[-1]
+            else model.link_names[model.tool_link]
         )
         if (frame or last) not in named:
             raise MotionError(

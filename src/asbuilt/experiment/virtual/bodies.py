@@ -77,7 +77,7 @@ def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Arr
 
 def _flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
     if at is None:
-        return model.n_joints - 1, np.eye(4)
+        return model.tool_link, np.eye(4)
     if at in model.link_names:
         return model.link_names.index(at), np.eye(4)
     for frame in model.frames:

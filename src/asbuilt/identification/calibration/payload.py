@@ -134,8 +134,8 @@ class Payload:
 def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int, Array]:
     """Return name, link and placement of the frame that carries the payload.
 
-    By default the flange, or the last link. Raises `UsageError` if no moving link or frame has that
-    name.
+    By default the flange, or the link that carries a tool (`RobotModel.tool_link`). Raises
+    `UsageError` if no moving link or frame has that name.
     """
     frames = {link: (i, np.eye(4)) for i, link in enumerate(model.link_names)}
     frames |= {
@@ -149,7 +149,7 @@ def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int,
                 f"{model.name} has no moving link or frame {name!r}; available: {', '.join(frames)}"
             )
         return name, *frames[name]
-    last = model.n_joints - 1
+    last = model.tool_link
     for word in FLANGES:
         for frame, (link, placement) in frames.items():
             if link == last and word in (

@@ -148,7 +148,7 @@ class Objective:
         return SimulatedRobot(
             self.trajectories.model,
             self.trajectories.base.drive,
-            point.chi[10 * n :].reshape(n, -1),
+            point.chi[10 * n :].reshape(self.trajectories.model.n_joints, -1),
             point.servo,
         )
 
@@ -335,7 +335,7 @@ class Objective:
         variance = np.zeros(self.size)
         variance[self.free] = np.diag(inverse)
         of_drives = variance[10 * self.n_links : len(self.start.chi)]
-        return np.sqrt(of_drives).reshape(self.n_links, -1)
+        return np.sqrt(of_drives).reshape(self.trajectories.model.n_joints, -1)
 
     def undetermined(self, quadratic: Quadratic) -> tuple[str, ...]:
         """Return the drive and servo parameters that the trajectories hardly determine."""
@@ -360,7 +360,7 @@ class Objective:
         to_z[:p, 10 * n : len(point.chi)] = K[:, 10 * n :]
         last = len(point.chi)
         if self.free_stiffness and point.servo is not None:
-            to_z[p : p + n, last] = point.servo.kp
+            to_z[p : p + len(point.servo.kp), last] = point.servo.kp
             last += 1
         if self.free_delay:
             to_z[-1, last] = DELAY_SCALE
@@ -368,7 +368,7 @@ class Objective:
 
     def _torque_rows(self, point: Point) -> tuple[Array, Array]:
         """Return rows (r, p_z) and residuals (r,) of the torques, which follow the stiffness."""
-        base, n = self.trajectories.base, self.n_links
+        base = self.trajectories.base
         beta = base.regrouping @ point.chi
         width = self.trajectories.n_parameters
         rows, rest = [], []
@@ -383,7 +383,6 @@ class Objective:
                 row[:, base.n_base + k] = -factor[:, -1] / self.start.servo.kp[k]
             rows.append(row)
             rest.append(factor[:, :-1] @ beta[support] - scale * factor[:, -1])
-        assert len(rows) == n
         return np.concatenate(rows), np.concatenate(rest)
 
     def _add_cad(self, point: Point, gradient: Array, matrix: Array) -> None:

@@ -71,15 +71,11 @@ class Branch:
 class Trajectories:
     """Simulate windows of a robot, and derive the motion by its parameters.
 
-    The parameters are its base parameters, then kp and kd of every joint, then the delay. Raises
-    `DescriptionError` for a robot with joints that follow others.
+    The parameters are its base parameters, then kp and kd of every joint, then the delay.
     """
 
     model: RobotModel
     base: BaseParameters
-
-    def __post_init__(self) -> None:
-        layout_of(self.model)
 
     @property
     def n_parameters(self) -> int:
@@ -96,12 +92,16 @@ class Trajectories:
     def branches(self) -> tuple[Branch, ...]:
         """The branches of the robot, which move independently of each other."""
         n, p = self.model.n_joints, self.base.n_base
-        roots = np.array([self.model.ancestors(k)[0] for k in range(n)])
+        moved_by = np.array(self.model.link_joints)
+        roots = np.arange(n)
+        for link in range(self.model.n_links):
+            joints = moved_by[list(self.model.ancestors(link))]
+            roots[np.isin(roots, roots[joints])] = roots[joints].min()
         links = 10 * self.model.n_links
         per = max(self.base.drive.columns_per_joint, 1)
         owner = np.where(
             self.base.columns < links,
-            self.base.columns // 10,
+            moved_by[np.minimum(self.base.columns, links - 1) // 10],
             (self.base.columns - links) // per,
         )
         found = []
@@ -123,6 +123,7 @@ class Trajectories:
             codes,
             program,
             numbers,
+            *self._coupling,
             *_matrices(robot),
             *robot.stiffness,
             *robot.deviations,
@@ -253,19 +254,35 @@ class Trajectories:
             if per and first + k * per <= column < first + (k + 1) * per
         ]
 
+    @property
+    def _coupling(self) -> tuple[Indices, Array, Array]:
+        """Joint that moves each joint of the tree, its share and offset, three (n_links,).
+
+        Empty for a robot whose joints all have a drive.
+        """
+        coupling = self.model.coupling
+        if coupling is None:
+            return np.empty(0, dtype=np.int64), np.empty(0), np.empty(0)
+        moved_by = np.argmax(np.abs(coupling.matrix), axis=1)
+        shares = coupling.matrix[np.arange(len(moved_by)), moved_by]
+        return moved_by.astype(np.int64), shares, np.array(coupling.offset)
+
     def _program(self, robot: SimulatedRobot, links: Array) -> tuple[Indices, Indices, Array]:
         """Return codes of the links, codes with the drive program, and numbers."""
-        layout, n = layout_of(self.model), self.model.n_joints
+        layout, coupling = layout_of(self.model.tree), self.model.coupling
+        bodies = links.reshape(-1, 10)
+        if coupling is not None:
+            bodies = coupling.parameters(bodies)
         others = robot.drive.without(*IN_MATRICES)
         program, constants = drive_program(
             others, _columns(robot, others.keys).reshape(-1), self.model.motor_shares
         )
         codes = layout.codes.ravel().copy()
         numbers = [
-            np.hstack([layout.placements, links.reshape(n, 10)]).ravel(),
+            np.hstack([layout.placements, bodies]).ravel(),
             layout.gravity,
             constants,
-            np.zeros(work_size(n)),
+            np.zeros(work_size(len(bodies))),
         ]
         return codes, np.concatenate([codes, program.ravel()]), np.concatenate(numbers)
 

@@ -60,18 +60,43 @@ def solved(L, x, n):
 
 
 @compiled
-def _split_drive(program, n, numbers, q, v, load, away, zero, stack, even, odd):
+def _rigid_bodies(codes, numbers, moved_by, shares, offset, q, v, zero, tree, masses, M, bias):
+    """Write mass matrix and torque without acceleration; return whether they are finite.
+
+    Joint i of the tree is at `shares[i] q[moved_by[i]] + offset[i]`; no shares: each has a drive.
+    `tree` (4, n_links) and `masses` (n_links, n_links) are work space.
+    """
+    M[:] = 0.0
+    if shares.size == 0:
+        return mass_matrix(codes, numbers, q, M) and torque(codes, numbers, q, v, zero, bias)
+    masses[:], bias[:] = 0.0, 0.0
+    for i in range(shares.size):
+        k = moved_by[i]
+        tree[0, i], tree[1, i], tree[2, i] = shares[i] * q[k] + offset[i], shares[i] * v[k], 0.0
+    good = mass_matrix(codes, numbers, tree[0], masses) and torque(
+        codes, numbers, tree[0], tree[1], tree[2], tree[3]
+    )
+    for i in range(shares.size):
+        bias[moved_by[i]] += shares[i] * tree[3, i]
+        for j in range(shares.size):
+            M[moved_by[i], moved_by[j]] += shares[i] * masses[i, j] * shares[j]
+    return good
+
+
+@compiled
+def _split_drive(program, links, numbers, q, v, load, away, zero, stack, even, odd):
     """Write the parts of the drive torques that do not and do change sign with the velocity."""
+    n = q.size
     even[:], odd[:] = 0.0, 0.0
-    if program.size == CODES * n:
+    if program.size == CODES * links:
         return
-    constants = PER_LINK * n + 3
+    constants = PER_LINK * links + 3
     for k in range(n):
         away[k] = max(abs(v[k]), SLOWEST)
-    run(program, CODES * n, numbers, constants, q, away, zero, load, stack, even)
+    run(program, CODES * links, numbers, constants, q, away, zero, load, stack, even)
     for k in range(n):
         away[k] = -away[k]
-    run(program, CODES * n, numbers, constants, q, away, zero, load, stack, odd)
+    run(program, CODES * links, numbers, constants, q, away, zero, load, stack, odd)
     for k in range(n):
         ahead, back = even[k], odd[k]
         even[k], odd[k] = 0.5 * (ahead + back), 0.5 * (ahead - back)
@@ -116,6 +141,9 @@ def simulate(
     codes,
     program,
     numbers,
+    moved_by,
+    shares,
+    offset,
     rotors,
     damping,
     kp,
@@ -135,10 +163,12 @@ def simulate(
 
     `inputs` (W, S, n), `q` and `v` (W, S + 1, n), `a` (W, S, n); `state` (W, S, n) becomes 1 and
     -1 for joints that dry friction brakes, 0 for those that it holds; 4 is added for those at the
-    torque limit of the servo. `rotors` and `damping` are (n, n). `dead` and `falling` (n,) are
-    the deadband and how much the limit falls per speed.
+    torque limit of the servo. `moved_by`, `shares` and `offset` (n_links,) are those of
+    `_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and `falling` (n,) are the deadband
+    and how much the limit falls per speed.
     """
-    n, windows, steps = kp.size, inputs.shape[0], inputs.shape[1]
+    n, windows, steps, links = kp.size, inputs.shape[0], inputs.shape[1], codes.size // CODES
+    tree, masses = np.empty((4, links)), np.empty((links, links))
     bias, even, odd, zero = np.empty(n), np.empty(n), np.empty(n), np.zeros(n)
     away, friction, stack = np.empty(n), np.empty(n), np.empty(STACK)
     M, W, column, tau = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
@@ -153,11 +183,23 @@ def simulate(
                 continue
             for k in range(n):
                 position[k], rate[k] = q[w, s, k], v[w, s, k]
-            M[:] = 0.0
-            alive = mass_matrix(codes, numbers, position, M) and torque(
-                codes, numbers, position, rate, zero, bias
+            alive = _rigid_bodies(
+                codes,
+                numbers,
+                moved_by,
+                shares,
+                offset,
+                position,
+                rate,
+                zero,
+                tree,
+                masses,
+                M,
+                bias,
             )
-            _split_drive(program, n, numbers, position, rate, bias, away, zero, stack, even, odd)
+            _split_drive(
+                program, links, numbers, position, rate, bias, away, zero, stack, even, odd
+            )
             for k in range(n):
                 full[k] = False
                 tau[k] = inputs[w, s, k]

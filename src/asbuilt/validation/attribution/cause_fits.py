@@ -36,7 +36,7 @@ class FitAssumptions:
     tilt: float = float(np.deg2rad(1.0))
     """Standard deviation of tilts of the base [rad]; a robot on an unlevelled table."""
     reach: float = 1.0
-    """Farthest centre of a payload from the frame of the last joint [m]."""
+    """Farthest centre of a payload from the frame of the link that carries it [m]."""
 
 
 ASSUMED = FitAssumptions()
@@ -106,7 +106,8 @@ class CauseFits:
         inertial = 10 * base.n_links
         links = [name for name, j in zip(base.names, base.columns, strict=True) if j < inertial]
         self.rigid = cause_data.places(links)
-        K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
+        tool = result.model.tool_link
+        K = base.regrouping[: len(links), 10 * tool : 10 * tool + 10]
         self.names = (
             *cause_data.names,
             *(f"gain {k + 1}" for k in range(n)),

@@ -137,11 +137,11 @@ def _on_payload(choice: CauseChoice) -> list[str]:
     place = ", ".join(f"{1e3 * float(c):.0f}" for c in centre)
     body = (
         f"{plus_minus(mass, error)} kg with its centre of mass at ({place}) mm in the frame of"
-        f" {fits.result.model.link_names[-1]}"
+        f" {fits.result.model.link_names[fits.result.model.tool_link]}"
     )
     away = float(np.linalg.norm(centre))
     if "links" not in weighed:
-        return [f"The last link carries {body}."]
+        return [f"The robot carries {body}."]
     if "payload" in weighed:
         return [
             f"A payload of {body} would explain much of what a changed mass distribution of the"

@@ -154,7 +154,11 @@ def review_result(
         values.covariance[np.ix_(rows, rows)],
     )
     whole = [number.claimed + float(number.column @ added) for number in numbers]
-    relative = [scale[result.joint_names.index(number.joint)] for number in numbers]
+    drives = {
+        joint.name: model.joint_names[k]
+        for joint, k in zip(model.moving_joints, model.link_joints, strict=True)
+    }
+    relative = [scale[result.joint_names.index(drives[number.joint])] for number in numbers]
     profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [

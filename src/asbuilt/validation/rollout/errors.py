@@ -185,8 +185,8 @@ def _lost(q: Array) -> Mask:
 
 def _tool_distance(model: RobotModel, measured: Array, simulated: Array) -> float | None:
     """Return the root mean square distance [m] between the tools of two poses (W, n)."""
-    driven = {joint.parent for joint in model.joints}
-    if len(set(range(model.n_joints)) - driven) != 1:
+    ends = set(range(model.n_links)) - set(model.parents)
+    if any(model.tool_link not in model.ancestors(end) for end in ends):
         return None
     try:
         _, link, placement = payload_frame(model)

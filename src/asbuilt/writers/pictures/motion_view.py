@@ -130,7 +130,7 @@ def _ends(solid: Solid, poses: Array) -> Array:
 
 
 def _tip(model: RobotModel) -> tuple[int, Array]:
-    """Return the last link and the point on it whose path is drawn: a frame, or its origin."""
-    last = model.n_joints - 1
+    """Return the link of the tool and the point whose path is drawn: a frame, or its origin."""
+    last = model.tool_link
     on_it = [frame.placement[:3, 3] for frame in model.frames if frame.link == last]
     return last, np.asarray(on_it[-1] if on_it else np.zeros(3))

@@ -36,20 +36,22 @@ class FleetColumns:
         Base parameters of each joint's columns.
     joint_names, joint_units
         Names of the joints, and N m or N.
+    tool_link
+        Link that carries a payload, counted from 0.
     """
 
     base: BaseParameters
     support: tuple[Indices, ...]
     joint_names: tuple[str, ...]
     joint_units: tuple[str, ...]
+    tool_link: int
 
     @classmethod
     def of(cls, settings: TypeSettings) -> FleetColumns:
         """Return the columns of a type of a ledger."""
-        units = tuple(
-            "N" if joint.kind == "prismatic" else "N m" for joint in settings.model.joints
-        )
-        return cls(settings.base, tuple(settings.plan.support), settings.model.joint_names, units)
+        model, support = settings.model, tuple(settings.plan.support)
+        units = tuple("N" if joint.kind == "prismatic" else "N m" for joint in model.joints)
+        return cls(settings.base, support, model.joint_names, units, model.tool_link)
 
     @property
     def n_joints(self) -> int:

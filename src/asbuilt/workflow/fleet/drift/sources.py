@@ -58,7 +58,7 @@ def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
         ]
     found += [Source("gain", k, _units(columns.size, [columns.gains.start + k])) for k in range(n)]
     K = np.zeros((columns.size, 10))
-    K[: base.n_base] = base.regrouping[:, 10 * (n - 1) : 10 * n]
+    K[: base.n_base] = base.regrouping[:, 10 * columns.tool_link :][:, :10]
     found += [Source("payload", None, K[:, 6:] * PAYLOAD_SIZE[6:])]
     found += [Source("payload", None, K * PAYLOAD_SIZE)]
     found.append(
