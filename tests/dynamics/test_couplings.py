@@ -87,7 +87,7 @@ def test_followers_are_set_apart(robot: RobotModel) -> None:
     assert robot.link_names == tuple(f"l_{name}" for name in NAMES)
     assert robot.link_joints == (0, 1, 2, 3, 4, 2, 4, 4)
     assert robot.link_shares == tuple(E.sum(axis=1))
-    assert (robot.n_joints, robot.n_links) == (5, 8)
+    assert (robot.n_joints, robot.n_links, robot.tool_link) == (5, 8, 3)
 
 
 def test_torques_are_those_of_the_free_tree_projected(

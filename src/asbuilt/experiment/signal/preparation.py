@@ -265,10 +265,8 @@ def _resolved(
         plan = FilterPlan.of(chain, rate)
         fitting = [segment for segment in segments if plan.fits(segment)]
         if fitting:
-            chain = replace(
-                chain,
-                standstill=standstill_speeds([plan.motion(segment)[1] for segment in fitting]),
-            )
+            motions = [plan.motion(segment)[:2] for segment in fitting]
+            chain = replace(chain, standstill=standstill_speeds(motions, chain.cutoff or 0.0))
     return chain, tuple(notes)
 
 

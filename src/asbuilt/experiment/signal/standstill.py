@@ -12,15 +12,27 @@ from asbuilt.dynamics.kernels.compilation import compiled
 SLOW = 0.003
 """Share of a joint's top speed below which it may be at rest."""
 SLOWEST = 0.0015
-"""Share of the fastest joint's top speed below which any joint may be at rest."""
+"""Share of the fastest joint's top speed below which any joint may be at rest, but for `MOVING`."""
+MOVING = 0.03
+"""Share of its own top speed beyond which a joint moves, however slow beside others: a finger in
+m/s beside joints in rad/s."""
+SWEPT = 10.0
+"""Position range, in top speeds over the cutoff [rad/s], from which a joint moves at all; noise
+below the cutoff has about 5, a sine of a fifth of its frequency 10."""
 PAUSE = 0.5
 """Least duration [s] of a rest; a reversal is shorter."""
 
 
-def standstill_speeds(velocities: Sequence[Array]) -> tuple[float, ...]:
-    """Return the speed of each joint below which it may be at rest, from all velocities (L, n)."""
-    top = np.max([np.quantile(np.abs(qd), 0.99, axis=0) for qd in velocities], axis=0)
-    return tuple(np.maximum(SLOW * top, SLOWEST * top.max()).tolist())
+def standstill_speeds(motions: Sequence[tuple[Array, Array]], cutoff: float) -> tuple[float, ...]:
+    """Return the speed of each joint below which it may be at rest.
+
+    `motions` are positions and velocities (L, n) of segments, behind a low-pass of `cutoff` [Hz].
+    """
+    top = np.max([np.quantile(np.abs(qd), 0.99, axis=0) for _, qd in motions], axis=0)
+    swept = np.max([np.ptp(q, axis=0) for q, _ in motions], axis=0)
+    moves = swept * 2.0 * np.pi * cutoff > SWEPT * top
+    least = np.where(moves, np.minimum(SLOWEST * top.max(), MOVING * top), SLOWEST * top.max())
+    return tuple(np.maximum(SLOW * top, least).tolist())
 
 
 def at_rest(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
