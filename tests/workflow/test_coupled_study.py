@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from coupled_robots import palletizer
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.excitation.motions.random_motion import random_fourier
@@ -13,6 +12,7 @@ from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.validation.review.review import review_result
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study, identify
+from coupled_robots import palletizer
 
 CARRIED = LinkInertia.from_com(0.8, [0.02, 0.01, 0.05], 1e-3 * np.eye(3))
 
@@ -22,7 +22,11 @@ def study() -> Study:
     model = palletizer()
     motion = random_fourier(model, rng=3, duration=12.0)
     log = simulate_recording(model, motion, rate=100.0, tool=CARRIED)
-    return identify(model, [log], options=StudyOptions(drive="armature,viscous,coulomb", method="wls", checked=False))
+    return identify(
+        model,
+        [log],
+        options=StudyOptions(drive="armature,viscous,coulomb", method="wls", checked=False),
+    )
 
 
 def test_fingers_carry_no_tool(study: Study) -> None:

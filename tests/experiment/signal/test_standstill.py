@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from asbuilt.experiment.signal.lowpass import butterworth
-
 from asbuilt.experiment.signal.standstill import at_rest, moving_ranges, standstill_speeds
 
 

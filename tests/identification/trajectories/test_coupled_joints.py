@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from coupled_robots import palletizer
 
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -16,6 +15,7 @@ from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
+from coupled_robots import palletizer
 
 DRIVE = DriveSet.parse("armature,viscous,coulomb,offset")
 VALUES = np.array([0.1, 0.8, 0.0, 0.1])
