@@ -44,7 +44,7 @@ PROMISED = 1.0
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "puma-560", "scara")
 """The form of the thresholds was settled on the iiwa and the Panda, that of its tail on the Panda
 and on exponential maxima; the others are held out."""
-CONTACTS = 60
+CONTACTS = 180
 
 
 class Site:
@@ -236,8 +236,9 @@ def contacts(names: Sequence[str], minutes: float) -> None:
             for k in np.flatnonzero((log.t >= start) & (log.t < start + 0.5)):
                 external[k] = frame_jacobian(model, log.q[k], *tool)[3:].T @ force
         seen = site.observed(replace(log, tau=log.tau - external))
-        scale, limit = site.thresholds[PROMISED].of_log(seen, site.error)
-        events = find_events(observer, seen, scale, limit, tool, apart=1.0)
+        limits = site.thresholds[PROMISED]
+        scale, limit = limits.of_log(seen, site.error)
+        events = find_events(observer, seen, scale, limit, limits, tool, apart=1.0)
         covered, errors, named, sizes = [], [], [], []
         for start, force in zip(starts, forces, strict=True):
             near = [event for event in events if -0.1 < event.start - start < 0.5]

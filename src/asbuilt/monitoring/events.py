@@ -9,12 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array
 from asbuilt.codec import plain
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.monitoring.contact import Contact, estimate_contact
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
+from asbuilt.monitoring.thresholds import Thresholds
 
 Kind = Literal["contact", "fault", "payload"]
 
@@ -84,6 +85,7 @@ def find_events(
     observed: Observed,
     scale: Array,
     limit: Array,
+    thresholds: Thresholds,
     tool: tuple[int, Array],
     *,
     apart: float,
@@ -96,6 +98,8 @@ def find_events(
         The observer and what it made of the log.
     scale, limit
         Scale and threshold of the residual (N, n), of `Thresholds.of_log`.
+    thresholds
+        The thresholds.
     tool
         Link that carries the tool, counted from 0, and pose (4, 4) of the tool's frame in it.
     apart
@@ -107,7 +111,7 @@ def find_events(
         return ()
     cuts = np.flatnonzero(np.diff(observed.t[places]) > apart) + 1
     return tuple(
-        _event(observer, observed, scale, limit, beyond, slice(part[0], part[-1] + 1), tool)
+        _event(observer, observed, scale, limit, thresholds, slice(part[0], part[-1] + 1), tool)
         for part in np.split(places, cuts)
     )
 
@@ -136,17 +140,16 @@ def _event(
     observed: Observed,
     scale: Array,
     limit: Array,
-    beyond: Mask,
+    thresholds: Thresholds,
     part: slice,
     tool: tuple[int, Array],
 ) -> Event:
     model, t = observer.model, observed.t[part]
     ratio = np.abs(observed.residual[part]) / limit[part]
     peak = part.start + int(np.argmax(ratio.max(axis=1)))
-    responding = np.flatnonzero(beyond[part].any(axis=0))
-    q, qd, qdd, r = (x[peak] for x in (observed.q, observed.qd, observed.qdd, observed.residual))
-    uniform = observed.unknown_friction[peak] ** 2 / 3.0
-    noise = np.diag(np.maximum(scale[peak] ** 2 + uniform, 1e-18))
+    responding = np.flatnonzero((ratio > 1.0).any(axis=0))
+    here, q, r = slice(peak, peak + 1), observed.q[peak], observed.residual[peak]
+    error = thresholds.covariance(observed.part(here), scale[here], observer.model_error)
     event = Event(
         kind="contact",
         start=float(t[0]),
@@ -156,9 +159,7 @@ def _event(
         link=model.link_names[_last(model.parents, responding, ratio)],
         residual=r,
         threshold=limit[peak],
-        contact=estimate_contact(
-            model, q, r, noise + observer.model_error.covariance(q, qd, qdd), *tool
-        ),
+        contact=estimate_contact(model, q, r, error, *tool),
     )
     if event.duration < PERSISTENT:
         return event

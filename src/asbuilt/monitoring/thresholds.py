@@ -29,7 +29,9 @@ BLOCK = 1.0
 """Shortest block [s]; longer than the observer remembers and than most contacts last."""
 SLOW = (0.01, 0.03, 0.1, 0.3)
 """Speeds, as shares of the top speed, below which friction may be in error; one is chosen."""
-POSITIVE = ("level", "floor", "slow_speed")
+UNIFORM = 1.0 / np.sqrt(3.0)
+"""Standard deviation of an error within a bound, per bound."""
+POSITIVE = ("level", "floor", "slow_speed", "spread")
 NOT_NEGATIVE = ("slow_part", "fast", "top_speed", "velocity_error", "model_part")
 HALF = 0.5
 """Largest error of the mean of a torque that steps between two samples, per step."""
@@ -76,6 +78,9 @@ class Thresholds:
         Largest error of the velocities [rad/s or m/s] per joint, (n,); none given: 0.
     model_part
         Share of the model's standard deviation in S, per joint, (n,); none given: 1.
+    spread
+        RMS residual per `deviation`, per joint, (n,); none given: 1. The scale that makes
+        thresholds lowest is no standard deviation.
     held_out
         Whether the levels were set on recordings other than the one watched.
     filtered
@@ -101,12 +106,13 @@ class Thresholds:
     top_speed: Array
     velocity_error: Array = field(default_factory=lambda: np.zeros(0))
     model_part: Array = field(default_factory=lambda: np.zeros(0))
+    spread: Array = field(default_factory=lambda: np.zeros(0))
     held_out: bool = True
     filtered: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
-        for name, value in (("velocity_error", 0.0), ("model_part", 1.0)):
+        for name, value in (("velocity_error", 0.0), ("model_part", 1.0), ("spread", 1.0)):
             if np.size(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(n, value))
         for name in ("bandwidth", "false_alarms_per_hour", "block_seconds", "hours", "rate"):
@@ -155,6 +161,24 @@ class Thresholds:
         model = error.std(observed.q, observed.qd, observed.qdd)
         scale = self.scale(observed.qd, slowness, model)
         return scale, self.level * scale + bounded(observed)
+
+    def covariance(self, observed: Observed, scale: Array, error: ModelError) -> Array:
+        """Return the covariance (n, n) of the residuals of one sample without contact.
+
+        That of the model's part is propagated; the rest is independent from joint to joint.
+        `observed` and `scale` (1, n) are those of the sample.
+        """
+        model = error.covariance(observed.q[0], observed.qd[0], observed.qdd[0])
+        part = self.model_part * self.spread
+        whole = (self.spread * deviation(observed, scale)[0]) ** 2
+        shared = part[:, None] * model * part
+        rest = np.maximum(whole - np.diag(shared), np.finfo(float).tiny)
+        return np.asarray(shared + np.diag(rest))
+
+
+def deviation(observed: Observed, scale: Array) -> Array:
+    """Return `sqrt(S^2 + b^2 / 3)` (N, n) of a scale S and errors that are uniform within b."""
+    return np.asarray(np.hypot(scale, UNIFORM * bounded(observed)))
 
 
 def bounded(observed: Observed) -> Array:
@@ -264,13 +288,15 @@ def set_thresholds(
             held_out=held_out,
             filtered=filtered,
         )
+        scales = [made.of_log(log, error)[0] for log in logs]
         ratios = [
-            np.maximum(np.abs(log.residual) - bounded(log), 0.0) / made.of_log(log, error)[0]
-            for log in logs
+            np.maximum(np.abs(log.residual) - bounded(log), 0.0) / scale
+            for log, scale in zip(logs, scales, strict=True)
         ]
         if last:
             break
         kept = [_quiet(log, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
+    made = replace(made, spread=_spread(logs, scales, kept))
     maxima = np.concatenate(
         [block_maxima(log.t, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
     )
@@ -278,6 +304,15 @@ def set_thresholds(
         level = np.array([gumbel_level(column, probability) for column in maxima.T])
         return replace(made, level=level)
     return replace(made, level=levels(maxima, false_alarms_per_hour * seconds / 3600.0))
+
+
+def _spread(logs: Sequence[Observed], scales: Sequence[Array], kept: Sequence[Mask]) -> Array:
+    """Return the RMS residual of each joint (n,) per deviation."""
+    ratios = [
+        (log.residual / deviation(log, scale))[keep]
+        for log, scale, keep in zip(logs, scales, kept, strict=True)
+    ]
+    return np.asarray(np.sqrt(np.mean(np.concatenate(ratios) ** 2, axis=0)))
 
 
 def levels(maxima: Array, expected: float) -> Array:

@@ -207,7 +207,13 @@ def _watched(
     for observed in observed_parts(observer, log, velocities=measured):
         scale, limit = thresholds.of_log(observed, observer.model_error)
         events += find_events(
-            observer, observed, scale, limit, tally.tool, apart=thresholds.block_seconds
+            observer,
+            observed,
+            scale,
+            limit,
+            thresholds,
+            tally.tool,
+            apart=thresholds.block_seconds,
         )
         traces.append(traced(observed, limit))
         tally.add(observer, observed, scale, limit)
