@@ -76,6 +76,24 @@ def test_a_force_at_the_tool_is_measured(watched: WatchedRobot) -> None:
     assert event.contact.p_value > 1e-3
 
 
+def test_covariance_is_that_of_residuals_without_contact(watched: WatchedRobot) -> None:
+    """Squares of whitened residuals of another motion are 1 on average."""
+    observer, log = (
+        Observer(watched.result, thresholds=watched.thresholds),
+        watched.record(27, 15.0),
+    )
+    seen = observer.observe(log.t, log.q, log.tau, log.qd)
+    scale = watched.thresholds.of_log(seen, observer.model_error)[0]
+    squares = []
+    for k in range(50, len(seen.t), 50):
+        part, r = slice(k, k + 1), seen.residual[k]
+        covariance = watched.thresholds.covariance(
+            seen.part(part), scale[part], observer.model_error
+        )
+        squares.append(r @ np.linalg.solve(covariance, r) / r.size)
+    assert 0.5 < np.mean(squares) < 2.0
+
+
 def test_a_lasting_offset_of_one_joint_is_a_fault(watched: WatchedRobot) -> None:
     external = np.zeros(watched.record(24, 10.0).q.shape)
     external[800:, 2] = 12.0

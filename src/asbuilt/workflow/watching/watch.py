@@ -220,9 +220,10 @@ def _watched(
     if tally.seconds <= 0.0:
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
     found = joined_events(events, thresholds.block_seconds)
+    units = tuple("N m" if joint.is_revolute else "N" for joint in observer.model.joints)
     said = [
         *log_findings(thresholds, tally),
-        *model_findings(tally, expected_size(result, options.model), name, found),
+        *model_findings(tally, expected_size(result, options.model), units, name, found),
     ]
     return WatchedLog(
         robot=result.robot,
@@ -236,5 +237,6 @@ def _watched(
         events=found,
         findings=ranked([*findings, *said]),
         trace=Trace.joined(traces),
+        units=units,
         smallest_force=tally.smallest_force,
     )

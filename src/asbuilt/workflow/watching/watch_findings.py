@@ -55,7 +55,7 @@ def calibration_findings(thresholds: Thresholds) -> list[Finding]:
             "calibration_short",
             "warning",
             f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
-            " is extrapolated and thresholds are higher than they need be",
+            " is extrapolated, and the rate of false alarms is not verified",
             Cure(f"give recordings of at least {SHORT:.0f} s"),
         )
     ]
@@ -112,7 +112,7 @@ def expected_size(result: IdentificationResult, model: Watched) -> Array:
 
 
 def model_findings(
-    log: Tally, expected: Array, frame: str, events: Sequence[Event]
+    log: Tally, expected: Array, units: Sequence[str], frame: str, events: Sequence[Event]
 ) -> list[Finding]:
     """Return whether most of a log is unlike its model, and whether a payload explains it.
 
@@ -122,6 +122,8 @@ def model_findings(
         Statistics of the log.
     expected
         RMS torque error (n,) that the identification found.
+    units
+        Unit of each joint's torque.
     frame
         Name of the frame of the tool.
     events
@@ -146,9 +148,10 @@ def model_findings(
         Finding(
             "model_disagrees",
             "warning",
-            f"{log.joint_names[worst]}: an external torque of {log.size[worst]:.3g} N m or N for"
-            f" most of this log, where the model was off by {expected[worst]:.3g} when it was"
-            " identified; it is not the model of this robot with its load, gains and units",
+            f"{log.joint_names[worst]}: an external torque of {log.size[worst]:.3g}"
+            f" {units[worst]} for most of this log, where the model was off by"
+            f" {expected[worst]:.3g} when it was identified; it is not the model of this robot with"
+            " its load, gains and units",
             Cure("check that log and result belong together, and validate the result on the log"),
             joint=log.joint_names[worst],
         )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.codec import plain
 from asbuilt.findings import Finding
 from asbuilt.monitoring.events import Event
@@ -33,6 +33,11 @@ class Trace:
     t: Array
     residual: Array
     limit: Array
+
+    def thinned(self, bins: int) -> Trace:
+        """Return the samples of largest excess of at most `bins` bins, joint by joint."""
+        rows = _largest(np.abs(self.residual) / self.limit, bins)
+        return Trace(*(np.take_along_axis(x, rows, 0) for x in (self.t, self.residual, self.limit)))
 
     @classmethod
     def joined(cls, traces: Sequence[Trace]) -> Trace:
@@ -62,6 +67,8 @@ class WatchedLog:
         The thresholds, and what was found.
     trace
         Residual and threshold for drawing.
+    units
+        Unit of each joint's torque, `"N m"` or `"N"`.
     smallest_force
         Step of force at the frame [N] that is seen within 20 ms, median over poses of this log.
     """
@@ -77,7 +84,17 @@ class WatchedLog:
     events: tuple[Event, ...]
     findings: tuple[Finding, ...]
     trace: Trace
+    units: tuple[str, ...]
     smallest_force: float
+
+    @property
+    def rate_verified(self) -> bool:
+        """Whether recordings without contact, of the time of one false alarm, set the thresholds.
+
+        Thresholds from less lie beyond what was recorded.
+        """
+        thresholds = self.thresholds
+        return thresholds.held_out and thresholds.hours * thresholds.false_alarms_per_hour >= 1.0
 
     @property
     def largest(self) -> tuple[str, float, float]:
@@ -100,7 +117,7 @@ class WatchedLog:
             "bandwidth": thresholds.bandwidth,
             "false_alarms_per_hour": thresholds.false_alarms_per_hour,
             "expected_false_alarms": thresholds.false_alarms_per_hour * self.seconds / 3600.0,
-            "rate_verified": thresholds.held_out,
+            "rate_verified": self.rate_verified,
             "smallest_force": self.smallest_force,
             "largest": dict(zip(("joint", "time", "ratio"), self.largest, strict=True)),
             "events": [event.as_document() for event in self.events],
@@ -127,10 +144,10 @@ class WatchedLog:
         )
         return (
             f"{self.robot}, {shortened(self.source, 60)}: {self.n_samples} samples,"
-            f" {_span(self.seconds)}, watched with the model {model}.",
+            f" {duration(self.seconds)}, watched with the model {model}.",
             f"Thresholds for {rate:g} false alarm{'s' * (rate != 1.0)} per hour"
             f" ({significant(expected, 2)} expected in this log), from"
-            f" {_span(3600.0 * thresholds.hours)}"
+            f" {duration(3600.0 * thresholds.hours)}"
             + (" without contact." if thresholds.held_out else " of this log itself."),
             f"Events: {counts or 'none'}. The largest external torque is {significant(ratio, 2)}"
             f" times its threshold ({joint}, {time:.2f} s).",
@@ -158,7 +175,8 @@ class WatchedLog:
             columns,
             tuple(self._row(event) for event in self.events),
             notes=(
-                f"A contact acts at the link named or beyond it. Torque and limit [N m or N] of the"
+                f"A contact acts at the link named or beyond it. Torque and limit"
+                f" [{torque_unit(self.units)}] of the"
                 " joint farthest beyond its threshold; force on the robot if it acts at"
                 f" {self.frame}, or change of mass there, +/- standard error.",
             ),
@@ -203,20 +221,34 @@ class WatchedLog:
         )
 
 
+def torque_unit(units: Sequence[str]) -> str:
+    """Return the unit of the torques of some joints as one text.
+
+    >>> torque_unit(("N m", "N", "N m")), torque_unit(("N m", "N m"))
+    ('N m or N', 'N m')
+    """
+    return " or ".join(dict.fromkeys(units))
+
+
 def traced(observed: Observed, limit: Array) -> Trace:
     """Return the samples of largest excess of at most `POINTS` bins, joint by joint."""
-    n = observed.residual.shape[1]
-    starts = np.unique(np.linspace(0, len(observed.t), POINTS + 1).astype(int)[:-1])
-    ratio = np.abs(observed.residual) / limit
+    rows = _largest(np.abs(observed.residual) / limit, POINTS)
+    residual, limits = (np.take_along_axis(x, rows, 0) for x in (observed.residual, limit))
+    return Trace(observed.t[rows], residual, limits)
+
+
+def _largest(ratio: Array, bins: int) -> Indices:
+    """Return the row of the largest value in each of at most `bins` bins of columns (N, n)."""
+    starts = np.unique(np.linspace(0, len(ratio), bins + 1).astype(int)[:-1])
     edges = np.append(starts, len(ratio))
-    rows = np.empty((len(starts), n), dtype=np.int64)
+    rows = np.empty((len(starts), ratio.shape[1]), dtype=np.int64)
     for k, (a, b) in enumerate(pairwise(edges.tolist())):
         rows[k] = a + np.argmax(ratio[a:b], axis=0)
-    columns = np.arange(n)
-    return Trace(observed.t[rows], observed.residual[rows, columns], limit[rows, columns])
+    return rows
 
 
-def _span(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Return a time [s] with its unit: seconds, minutes or hours."""
     if seconds < 120.0:
         return f"{seconds:.3g} s"
     return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from asbuilt.workflow.watching.watched_log import WatchedLog
+from asbuilt.workflow.watching.watched_log import WatchedLog, torque_unit
 from asbuilt.writers.figures.figure_style import (
     BLUE,
     GREY,
@@ -24,12 +24,20 @@ NARROWEST = 0.004
 MARGIN = 1.25
 
 
-def watch_figure(watched: WatchedLog, *, title: str = "") -> Figure:
-    """Draw the residual of every joint in its thresholds, with the events marked."""
-    trace, n = watched.trace, len(watched.joint_names)
+NARROW = 600
+"""Bins of a narrow figure."""
+
+
+def watch_figure(watched: WatchedLog, *, title: str = "", narrow: bool = False) -> Figure:
+    """Draw the residual of every joint in its thresholds, with the events marked.
+
+    A narrow figure is for screens as wide as a telephone's.
+    """
+    trace, n = watched.trace.thinned(NARROW) if narrow else watched.trace, len(watched.joint_names)
+    unit = torque_unit(watched.units)
     start, last = float(trace.t.min()), float(trace.t.max())
     with styled():
-        figure = blank_figure(8.6, 0.95 * n + 0.9)
+        figure = blank_figure(3.9 if narrow else 8.6, 0.95 * n + 0.9)
         axes = np.atleast_1d(figure.subplots(n, 1, sharex=True))
         shown = set()
         for j, axis in enumerate(axes):
@@ -70,12 +78,15 @@ def watch_figure(watched: WatchedLog, *, title: str = "") -> Figure:
                 max(np.abs(trace.residual[:, j]).max(), np.quantile(limit, 0.5))
             )
             axis.set_ylim(-tallest, tallest)
-            axis.set_ylabel(broken(watched.joint_names[j], 12))
+            mixed = f" [{watched.units[j]}]" if len(set(watched.units)) > 1 else ""
+            axis.set_ylabel(broken(watched.joint_names[j] + mixed, 12))
         axes[-1].set_xlabel("time [s]")
         axes[-1].set_xlim(start, last)
-        figure.legend(loc="outside lower right", ncols=5)
+        figure.legend(loc="outside lower right", ncols=2 if narrow else 5)
         headline(
             figure,
-            title or f"{watched.robot}: external torque [N m or N] and its thresholds",
+            title
+            or ("" if narrow else f"{watched.robot}: ")
+            + f"external torque [{unit}] and its thresholds",
         )
     return figure

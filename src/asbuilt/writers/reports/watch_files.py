@@ -8,7 +8,7 @@ from typing import Any
 
 from asbuilt.codec import json_text
 from asbuilt.workflow.watching.threshold_files import thresholds_text
-from asbuilt.workflow.watching.watched_log import WatchedLog
+from asbuilt.workflow.watching.watched_log import WatchedLog, duration
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.figures.watch_figure import watch_figure
 from asbuilt.writers.files import atomic_write, path_texts
@@ -38,13 +38,14 @@ def watch_document(watched: WatchedLog, files: Mapping[str, Path]) -> dict[str, 
 def watch_html(watched: WatchedLog) -> str:
     """Return the page of a watched log as text."""
     events = watched.events
-    rate = watched.thresholds.false_alarms_per_hour
+    thresholds, verified = watched.thresholds, watched.rate_verified
     cards = [
         Card("neutral" if events else "good", str(len(events)), "events"),
         Card(
-            "good" if watched.thresholds.held_out else "neutral",
-            f"{rate:g} per hour",
-            "false alarms that the thresholds are set for",
+            "good" if verified else "neutral",
+            f"{thresholds.false_alarms_per_hour:g} per hour",
+            "false alarms that the thresholds are set for"
+            + ("" if verified else f"; not verified, from {duration(3600.0 * thresholds.hours)}"),
         ),
     ]
     return page(
@@ -59,5 +60,6 @@ def watch_html(watched: WatchedLog) -> str:
         sentences=watched.sentences(),
         findings=[each.text for each in watched.findings],
         image=figure_address(watch_figure(watched)),
+        narrow_image=figure_address(watch_figure(watched, narrow=True)),
         events_table=table_markup(watched.table(), "events-table") if events else "",
     )
