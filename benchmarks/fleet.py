@@ -1,7 +1,7 @@
 """Logs reduced for a ledger: speed with reading, workers, overhead, memory, sizes, and a simulation
 of 1000 arms over a year.
 
-    python benchmarks/fleet.py [--tasks 10000] [--minutes 60]
+    python benchmarks/fleet.py [--tasks 10000] [--minutes 60] [--overhead]
 """
 
 from __future__ import annotations
@@ -291,8 +291,7 @@ def results(tasks: int, minutes: float) -> Iterator[tuple[str, dict[str, float]]
         yield "memory, 1 kHz", memory(folder, minutes, 1000.0)
         yield "one and two workers", workers(folder)
         yield "identify", identify(folder)
-    yield "overhead of a process pool", overhead(tasks)
-    yield "overhead of Dask", on_dask(tasks)
+    yield from overheads(tasks)
     for count in (1, 8, 64, 512, 4096):
         yield (
             "1000 arms, a year",
@@ -302,12 +301,20 @@ def results(tasks: int, minutes: float) -> Iterator[tuple[str, dict[str, float]]
         )
 
 
+def overheads(tasks: int) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield the overhead of tasks on a process pool and on Dask."""
+    yield "overhead of a process pool", overhead(tasks)
+    yield "overhead of Dask", on_dask(tasks)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--tasks", type=int, default=10_000)
     parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--overhead", action="store_true", help="that of the workers alone")
     given = parser.parse_args()
-    for title, values in results(given.tasks, given.minutes):
+    found = overheads(given.tasks) if given.overhead else results(given.tasks, given.minutes)
+    for title, values in found:
         print(
             title, json.dumps({key: round(value, 4) for key, value in values.items()}), flush=True
         )

@@ -27,6 +27,9 @@ PER_WORKER = 3
 """Submissions under way for each worker, so that none is idle while results are taken."""
 TOGETHER = 0.25
 """Time [s] of tasks that are submitted together: a submission to a cluster takes milliseconds."""
+LONGEST_TOGETHER, LATE_TOGETHER = 1.0, 0.04
+"""The same after a while, and the share of the time so far that it may take: with few tasks left,
+some workers wait that long for others."""
 MOST_TOGETHER = 100
 ATTEMPTS = 2
 """Times that a task is run alone after its process died among others."""
@@ -89,7 +92,7 @@ class Workers:
         Short tasks are submitted several at a time. Where a process dies, all tasks under way are
         repeated one at a time, so that only the one that kills its process fails.
         """
-        waiting, pace = iter(tasks), _Pace()
+        waiting, pace = iter(tasks), _Pace(self.count)
         running: dict[Future[_Done], list[Task]] = {}
         while True:
             suspects: list[Task] = []
@@ -168,17 +171,20 @@ class _Done:
 
 @dataclass(slots=True)
 class _Pace:
-    """Choose how many tasks are submitted together."""
+    """Choose how many tasks are submitted together to some workers."""
 
+    workers: int
     tasks: int = 0
     seconds: float = 0.0
 
     @property
     def batch(self) -> int:
-        """Number of tasks that take about `TOGETHER` seconds."""
+        """Number of tasks that take about `TOGETHER` seconds, or longer after a while."""
         if not self.tasks:
             return 1
-        return max(1, min(MOST_TOGETHER, int(TOGETHER * self.tasks / max(self.seconds, 1e-9))))
+        late = LATE_TOGETHER * self.seconds / self.workers
+        together = min(max(TOGETHER, late), LONGEST_TOGETHER)
+        return max(1, min(MOST_TOGETHER, int(together * self.tasks / max(self.seconds, 1e-9))))
 
     def add(self, tasks: int, seconds: float) -> None:
         """Count tasks and the time they took."""
