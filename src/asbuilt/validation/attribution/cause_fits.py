@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import nnls
 from scipy.special import fdtrc
 
 from asbuilt.arrays import Array, Indices, Mask
@@ -183,8 +183,7 @@ class CauseFits:
     def _solved(self, places: Indices) -> tuple[Array, Array, int, int]:
         """Return values, their spread, rank, and rank without bounds of some parameters.
 
-        The active bounds are those of `scipy.optimize.lsq_linear`; directions that the data hardly
-        determine are then left out of the free parameters.
+        Directions that the data hardly determine are left out of the free parameters.
         """
         x, spread = np.zeros(len(self.names)), np.zeros(len(self.names))
         if not places.size:
@@ -198,11 +197,7 @@ class CauseFits:
         y, variance, n_free = _least_squares(A, b)
         rank, free = n_free, np.ones(places.size, dtype=bool)
         if np.any(np.isfinite(lower) & (y < 0)):
-            U, s, Vt = np.linalg.svd(A, full_matrices=False)
-            kept = s**2 > ASSUMED.weakest * s[0] ** 2
-            bounds = (np.where(np.isfinite(lower), 0.0, -np.inf), np.inf)
-            found = lsq_linear(s[kept, None] * Vt[kept], U[:, kept].T @ b, bounds, method="bvls")
-            free = found.active_mask == 0
+            free = _inactive(A, b, np.isfinite(lower))
             y, variance = np.zeros(places.size), np.zeros(places.size)
             y[free], variance[free], rank = _least_squares(A[:, free], b)
         x[places] = (y + start) / self.length[places]
@@ -277,6 +272,22 @@ def _least_squares(A: Array, b: Array) -> tuple[Array, Array, int]:
         np.sum(V**2 / eigenvalues[kept], axis=1),
         int(kept.sum()),
     )
+
+
+def _inactive(A: Array, b: Array, bounded: Mask) -> Mask:
+    """Return which parameters min |A y - b| leaves above 0, if `bounded` may not be below it.
+
+    The others are eliminated (Lawson & Hanson, Solving Least Squares Problems, 1974, ch. 23);
+    directions that the data hardly determine are held near 0.
+    """
+    weak = np.sqrt(ASSUMED.weakest) * np.linalg.norm(A, 2)
+    rows = np.vstack([A, weak * np.eye(A.shape[1])])
+    Q = np.linalg.qr(rows[:, ~bounded])[0]
+    left = np.column_stack([rows[:, bounded], np.append(b, np.zeros(A.shape[1]))])
+    left -= Q @ (Q.T @ left)
+    free = ~bounded
+    free[bounded] = nnls(left[:, :-1], left[:, -1])[0] > 0.0
+    return free
 
 
 def _rms(rows: Sequence[Array], x: Array, n: int) -> Array:
