@@ -20,7 +20,7 @@ from asbuilt.writers.models.robot_toml import robot_toml
 from command_line import call, document
 
 DRIVE = DriveSet.parse("viscous,coulomb,load_friction,offset")
-ROBOTS = ("kuka-iiwa7-r800", "ur10e", "scara")
+ROBOTS = ("ur10e", "scara")
 
 
 def log(path: Path, robot: str, torque, *, seed: int = 2) -> Path:
@@ -29,7 +29,7 @@ def log(path: Path, robot: str, torque, *, seed: int = 2) -> Path:
     `torque(model, q, qd, qdd)` is what it logs.
     """
     model = bundled_robot(robot)
-    motion = random_fourier(model, seed, duration=25.0).sample(100.0)
+    motion = random_fourier(model, seed, duration=16.0).sample(100.0)
     tau = torque(model, motion.q, motion.qd, motion.qdd) + 0.02 * np.random.default_rng(
         seed
     ).normal(size=motion.q.shape)
@@ -209,7 +209,7 @@ def test_recordings_scaled_by_different_gains_are_refused(capsys, tmp_path, pair
     assert "same gains" in err
 
 
-@pytest.fixture(scope="module", params=["ur10e", "puma-560"])
+@pytest.fixture(scope="module", params=["puma-560"])
 def coupled(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, int]:
@@ -245,7 +245,7 @@ def test_a_coupled_wrist_from_file_to_result(capsys, tmp_path, coupled):
         "--rate",
         "200",
         "--duration",
-        "40",
+        "24",
         "--seed",
         "3",
     )

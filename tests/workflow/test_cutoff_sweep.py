@@ -76,7 +76,7 @@ def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
     study = identify(
         load_robot("ur10e"),
         [recording],
-        options=StudyOptions(drive=DRIVE, sweep_cutoff=True, holdout="last:0.3"),
+        options=StudyOptions(drive=DRIVE, sweep_cutoff=True, holdout="last:0.3", method="wls"),
     )
     assert study.cutoffs is not None
     assert any(study.cutoffs.why in note for note in study.result.notes)

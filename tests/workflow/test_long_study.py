@@ -22,17 +22,17 @@ from command_line import document
 
 @pytest.fixture(scope="module")
 def model():
-    return load_robot("kuka-iiwa7-r800")
+    return load_robot("scara")
 
 
 def logged(robot, path):
     recording = robot.record(
-        random_fourier(robot.model, rng=1, duration=40.0), rate=250.0, rng=2
+        random_fourier(robot.model, rng=1, duration=30.0), rate=250.0, rng=2
     ).recording
     columns = (
         {"t": recording.t}
-        | {f"q_{k}": recording.q[:, k] for k in range(7)}
-        | {f"tau_{k}": recording.tau[:, k] for k in range(7)}
+        | {f"q_{k}": recording.q[:, k] for k in range(recording.q.shape[1])}
+        | {f"tau_{k}": recording.tau[:, k] for k in range(recording.q.shape[1])}
     )
     pl.DataFrame(columns).write_parquet(path)
     return path
@@ -68,7 +68,7 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
 
 def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
-    answer = document(capsys, "identify", "kuka-iiwa7-r800", log, "--holdout", "blocks:5s:3")
+    answer = document(capsys, "identify", "scara", log, "--holdout", "blocks:5s:3")
     assert any("read in chunks" in line for line in answer["provenance"])
     assert answer["validation"][0]["relative_error"] < 0.1
 
@@ -78,14 +78,14 @@ def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch
 
     Nothing is read as a whole.
     """
-    result = document(capsys, "identify", "kuka-iiwa7-r800", log, "--out", tmp_path)["files"][
+    result = document(capsys, "identify", "scara", log, "--out", tmp_path)["files"][
         "result"
     ]
     tool = LinkInertia.from_com(1.5, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005]))
     loaded = logged(VirtualRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet")
     commands = (
         ("validate", result, log),
-        ("validate", "kuka-iiwa7-r800", log),
+        ("validate", "scara", log),
         ("payload", result, loaded),
     )
     whole = [document(capsys, *command) for command in commands]

