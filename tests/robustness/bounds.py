@@ -1,9 +1,9 @@
 """What inputs that are huge, endless or too deep cost: peak memory and time of a command.
 
     python tests/robustness/bounds.py [GROUP]
-    python tests/robustness/bounds.py --together GROUP
+    python tests/robustness/bounds.py --together GROUP...
 
-runs the cases in a process of their own each, or all of a group in one, and prints one JSON object
+runs the cases in a process of their own each, or all of some groups in one, and prints one JSON object
 a case.
 """
 
@@ -31,6 +31,8 @@ LARGEST = 500.0
 """Peak memory [MB] that a refused input may cost,"""
 SLOWEST = 2.0
 """and time [s], start of the interpreter included."""
+TEXTS = ("deep", "deep sheets", "sheets", "options", "results")
+"""Groups of texts and options, read by the process itself."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,10 @@ def peak() -> float:
 
 if __name__ == "__main__":
     chosen = sys.argv[1:]
-    found = together(chosen[1]) if chosen[:1] == ["--together"] else costs(*chosen[:1])
+    found = (
+        (cost for group in chosen[1:] for cost in together(group))
+        if chosen[:1] == ["--together"]
+        else costs(*chosen[:1])
+    )
     for cost in found:
         print(json.dumps(cost.__dict__), flush=True)

@@ -8,6 +8,7 @@ import random
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -246,6 +247,16 @@ def deep() -> Iterator[tuple[str, str, bytes]]:
     yield "long cell", ".csv", DH.encode() + b"9" * 1_500_000
 
 
+@cache
+def bomb(header: bytes) -> bytes:
+    """A small archive of large arrays."""
+    archived = io.BytesIO()
+    with zipfile.ZipFile(archived, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("q.npy", header + bytes(10_000_000))
+        archive.writestr("t.npy", bytes(300_000_000))
+    return archived.getvalue()
+
+
 def hostile_logs() -> Iterator[tuple[str, str, bytes]]:
     """Logs: what, suffix, content."""
     head = b"t,q_1,q_2,tau_1,tau_2\n"
@@ -274,14 +285,10 @@ def hostile_logs() -> Iterator[tuple[str, str, bytes]]:
     yield "magic only", ".db3", b"SQLite format 3\0" + bytes(500)
     yield "magic only", ".mcap", b"\x89MCAP0\r\n" + b"\xff" * 500
     yield "magic only", ".mat", b"MATLAB 5.0 MAT-file" + b" " * 105 + b"\x00\x01IM" + b"\xff" * 500
-    bomb = io.BytesIO()
-    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
-        header = io.BytesIO()
-        shape = {"descr": "<f8", "fortran_order": False, "shape": (10**11,)}
-        np.lib.format.write_array_header_1_0(header, shape)
-        archive.writestr("q.npy", header.getvalue() + bytes(10_000_000))
-        archive.writestr("t.npy", bytes(300_000_000))
-    yield "bomb", ".npz", bomb.getvalue()
+    header = io.BytesIO()
+    shape = {"descr": "<f8", "fortran_order": False, "shape": (10**11,)}
+    np.lib.format.write_array_header_1_0(header, shape)
+    yield "bomb", ".npz", bomb(header.getvalue())
     declared = io.BytesIO()
     with zipfile.ZipFile(declared, "w") as archive:
         archive.writestr("q.npy", header.getvalue() + bytes(1000))

@@ -19,17 +19,21 @@ PROGRAM = Path(bounds.__file__)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
-@pytest.mark.parametrize("group", bounds.cases())
-def test_refused_within_500_megabytes(group: str) -> None:
-    """All cases of a group run in one process, whose peak bounds that of each."""
+@pytest.mark.parametrize("groups", [("logs",), bounds.TEXTS], ids=["logs", "texts"])
+def test_refused_within_500_megabytes(groups: tuple[str, ...]) -> None:
+    """All cases of some groups run in one process, whose peak bounds that of each."""
     done = subprocess.run(
-        [sys.executable, str(PROGRAM), "--together", group],
+        [sys.executable, str(PROGRAM), "--together", *groups],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     costs = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(costs) == len(bounds.cases()[group])
+    assert len(costs) == sum(len(bounds.cases()[group]) for group in groups)
     beyond = [each for each in costs if each["megabytes"] > bounds.LARGEST]
     assert not beyond, beyond[0]
-    assert all(each["status"] for each in costs if group != "sheets")
+    assert all(each["status"] for each in costs if each["group"] != "sheets")
+
+
+def test_every_group_is_run() -> None:
+    assert {"logs", *bounds.TEXTS} == set(bounds.cases())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import signal
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,13 @@ def checked(capsys: pytest.CaptureFixture[str], folder: Path, case: Case) -> Non
         assert len(err) < 4000, (case.name, err)
 
 
+GROUPS = (
+    *(f"robot {suffix}" for suffix in corpus.ROBOTS),
+    *("deep", "deep sheets", "logs", "csv logs", "sheets", "motions", "options"),
+)
+
+
+@cache
 def groups() -> dict[str, list[Case]]:
     rng = random.Random(1)
     found: dict[str, list[Case]] = {}
@@ -94,7 +102,7 @@ def groups() -> dict[str, list[Case]]:
     return found
 
 
-@pytest.mark.parametrize("group", groups())
+@pytest.mark.parametrize("group", GROUPS)
 def test_text_and_options(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
@@ -138,5 +146,6 @@ def test_results_edited_by_hand(
 
 
 def test_there_are_at_least_500_cases(stored_result: str) -> None:
+    assert set(groups()) == set(GROUPS)
     texts = sum(len(cases) for cases in groups().values())
     assert texts + 50 + len([*corpus.results(stored_result)]) >= 500

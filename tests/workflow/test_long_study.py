@@ -78,9 +78,7 @@ def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch
 
     Nothing is read as a whole.
     """
-    result = document(capsys, "identify", "scara", log, "--out", tmp_path)["files"][
-        "result"
-    ]
+    result = document(capsys, "identify", "scara", log, "--out", tmp_path)["files"]["result"]
     tool = LinkInertia.from_com(1.5, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005]))
     loaded = logged(VirtualRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet")
     commands = (

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
@@ -18,7 +19,9 @@ from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.calibration.mounting import _block_costs, _cost, find_mounting
+from asbuilt.identification.calibration.gravity_rows import GravityRows
+from asbuilt.identification.calibration.mounting import _block_costs, _blocks, find_mounting
+from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.workflow.study import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -52,12 +55,28 @@ def test_tilt_of_a_simulated_robot_is_found_within_its_error(trial, robot):
     assert found.sentence.startswith("base tilt of")
 
 
-def test_cost_of_predicted_torques_is_that_of_the_factors(trial):
-    case = trial("scara", "viscous,coulomb,offset", seed=5, duration=8.0, rate=20.0, noise=0.02)
+@pytest.mark.parametrize("robot", ["scara", "ur10e"])
+def test_one_pass_has_the_factors_and_costs_of_every_gravity(trial, robot):
+    """Against a pass with the robot turned, and against the torques that it predicts."""
+    case = trial(robot, "viscous,coulomb,offset", seed=5, duration=8.0, rate=20.0, noise=0.02)
     weights = 1.0 / (1.0 + np.arange(case.model.n_joints))
-    by_blocks = _block_costs(case.information, case.base, weights, case.chi)
-    cost = _cost(case.model, case.base.drive, case.chi, weights, [case.samples])
-    assert cost == pytest.approx(by_blocks.sum(), rel=1e-9)
+    gravity = Rotation.from_rotvec([0.1, -0.2, 0.0]).apply(np.array(case.model.gravity))
+    turned = case.model.with_gravity(gravity)
+    base = find_base_parameters(turned, DRIVE)
+    rows = GravityRows.of(case.model, base, [case.samples])
+    seen = accumulate(turned, base, case.samples)
+    expected = seen.stacked(weights)
+    np.testing.assert_allclose(
+        rows.stacked(gravity, weights), expected, atol=1e-9 * np.abs(expected).max()
+    )
+    beta = base.regrouping @ case.chi
+    cost = 0.5 * weights**2 @ seen.residual_energy(beta)
+    assert rows.cost(gravity, weights, beta) == pytest.approx(cost, rel=1e-9)
+    for most in (256, 2):
+        blocks = _blocks(case.model, [case.samples], None, most)
+        assert len(blocks) <= max(most, seen.n_blocks)
+        costs = _block_costs(turned, DRIVE, case.chi, weights, blocks)
+        assert costs.sum() == pytest.approx(cost, rel=1e-9)
 
 
 def test_a_level_robot_stays_level(trial):

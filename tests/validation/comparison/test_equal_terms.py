@@ -57,7 +57,9 @@ def identified(motion: int, change: str = "", method: str = "huber") -> Identifi
         .recording
     )
     return identify(
-        ROBOT, [recording], options=StudyOptions(method=method, holdout="blocks:2s:3", checked=False)
+        ROBOT,
+        [recording],
+        options=StudyOptions(method=method, holdout="blocks:2s:3", checked=False),
     ).result
 
 

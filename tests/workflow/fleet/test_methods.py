@@ -27,9 +27,7 @@ METHODS = sorted(name for name in methods if methods[name].needs == "information
 ON_LARGER = ("consistent", "wls")
 """Methods that are tried on every robot; the others read the ledger as these do."""
 CASES = [
-    (robot, method)
-    for robot in ROBOTS
-    for method in (METHODS if robot == ROBOTS[0] else ON_LARGER)
+    (robot, method) for robot in ROBOTS for method in (METHODS if robot == ROBOTS[0] else ON_LARGER)
 ]
 
 

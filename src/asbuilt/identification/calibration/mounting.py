@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import axes_across
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
@@ -21,9 +21,11 @@ from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds, generous_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.conic_fit import ConicProblem
+from asbuilt.identification.calibration.gravity_rows import GravityRows
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_consistent
-from asbuilt.identification.information.rows import sample_blocks
+from asbuilt.identification.information.rows import SampleBlock, sample_blocks
 from asbuilt.identification.information.square_root_information import (
+    MOST_BLOCKS,
     SquareRootInformation,
     accumulate_stream,
 )
@@ -41,8 +43,6 @@ STEP = 20e-3
 """Unit of the tilt in the search [rad]."""
 SLOPE = 1e-5
 """Step [rad] of the slopes of the cost with the parameters held, which is quadratic there."""
-AT_ONCE = 60.0
-"""Seconds of samples whose torques are predicted at once."""
 DIFFERENCE = 4e-3
 """Step [rad] of the finite differences of the cost."""
 FARTHEST = 0.35
@@ -187,24 +187,25 @@ def find_mounting(
             _turned(model, axes, tilt), base, batches, block_seconds=block_seconds
         )
 
-    def block_costs(tilt: Array, weights: Array) -> Array:
-        seen = information(tilt)
-        chi = problem.fit(seen.stacked(weights)).chi
-        return _block_costs(seen, base, weights, chi)
-
-    def cost(steps: Array, weights: Array) -> tuple[float, Array]:
-        """Return V and its gradient, which is that with the best parameters held."""
-        tilt = STEP * steps
-        seen = information(tilt)
-        chi = problem.fit(seen.stacked(weights)).chi
-        here, *moved = (
-            _cost(_turned(model, axes, tilt + step), drive, chi, weights, batches)
-            for step in SLOPE * np.eye(3, 2, -1)
-        )
-        return here, STEP * (np.array(moved) - here) / SLOPE
+    def gravity(tilt: Array) -> Array:
+        return np.array(_turned(model, axes, tilt).gravity)
 
     tilt = np.zeros(2)
     with one_blas_thread():
+        rows = GravityRows.of(model, base, batches)
+
+        def best(tilt: Array, weights: Array) -> Array:
+            return problem.fit(rows.stacked(gravity(tilt), weights)).chi
+
+        def cost(steps: Array, weights: Array) -> tuple[float, Array]:
+            """Return V and its gradient, which is that with the best parameters held."""
+            tilt = STEP * steps
+            beta = base.regrouping @ best(tilt, weights)
+            here, *moved = (
+                rows.cost(gravity(tilt + step), weights, beta) for step in SLOPE * np.eye(3, 2, -1)
+            )
+            return here, STEP * (np.array(moved) - here) / SLOPE
+
         fit, as_given = _settled(information(tilt), prior, bounds)
         for enough in SEARCHES:
             found = minimize(
@@ -225,8 +226,13 @@ def find_mounting(
                 f" {np.rad2deg(FARTHEST):.0f} deg from that of the description",
                 cure=Cure("correct gravity in the description"),
             )
-        here = _block_costs(seen, base, fit.weights, fit.standard)
-        slopes, hessian = _differences(lambda other: block_costs(other, fit.weights), tilt, here)
+        blocks = _blocks(model, batches, block_seconds, 2 * MOST_BLOCKS)
+
+        def block_costs(tilt: Array, chi: Array | None = None) -> Array:
+            chi = best(tilt, fit.weights) if chi is None else chi
+            return _block_costs(_turned(model, axes, tilt), drive, chi, fit.weights, blocks)
+
+        slopes, hessian = _differences(block_costs, tilt, block_costs(tilt, fit.standard))
         if np.linalg.eigvalsh(hessian)[0] <= 0.0:
             raise IdentifiabilityError(
                 f"the recordings of {model.name} do not determine the base tilt: the torque error"
@@ -253,33 +259,33 @@ def _settled(
     return fit, np.sqrt(information.residual_energy(fit.beta) / information.n_samples)
 
 
-def _cost(
-    model: RobotModel, drive: DriveSet, chi: Array, weights: Array, batches: Sequence[Samples]
-) -> float:
-    """Return the cost with given standard parameters, from the torques that they predict."""
-    cost = 0.0
-    for part in sample_blocks(model, batches, AT_ONCE):
+def _block_costs(
+    model: RobotModel, drive: DriveSet, chi: Array, weights: Array, blocks: Sequence[SampleBlock]
+) -> Array:
+    """Return each block's part of the cost (n_blocks,) of given standard parameters."""
+    costs = np.zeros(len(blocks))
+    for b, part in enumerate(blocks):
         given = part.samples
 
         def error(span: slice, given: Samples = given) -> Array:
             state = given.q[span], given.qd[span], given.qdd[span]
             return given.tau[span] - parameter_torque(model, drive, chi, *state)[1]
 
-        cost += 0.5 * float(np.sum((weights[:, None] * part.filtered(error)) ** 2))
-    return cost
-
-
-def _block_costs(
-    information: SquareRootInformation, base: BaseParameters, weights: Array, chi: Array
-) -> Array:
-    """Return each block's part of the cost, shape (n_blocks,)."""
-    beta, costs = base.regrouping @ chi, np.zeros(information.n_blocks)
-    for weight, support, factors in zip(
-        weights, information.support, information.factors, strict=True
-    ):
-        errors = factors @ np.append(-beta[support], 1.0)
-        costs += 0.5 * weight**2 * np.sum(errors**2, axis=1)
+        costs[b] = 0.5 * float(np.sum((weights[:, None] * part.filtered(error)) ** 2))
     return costs
+
+
+def _blocks(
+    model: RobotModel, batches: Sequence[Samples], seconds: float | None, most: int
+) -> list[SampleBlock]:
+    """Return the time blocks, longer ones where there would be more than so many."""
+    found = [*sample_blocks(model, batches, seconds)]
+    if len(found) > most:
+        time = sum(part.n_outputs * part.seconds for part in found) / sum(
+            part.n_outputs for part in found
+        )
+        found = [*sample_blocks(model, batches, time * len(found) / most)]
+    return found
 
 
 def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> tuple[Array, Array]:
