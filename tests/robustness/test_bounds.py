@@ -19,7 +19,7 @@ PROGRAM = Path(bounds.__file__)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
-@pytest.mark.parametrize("groups", [("logs",), bounds.TEXTS], ids=["logs", "texts"])
+@pytest.mark.parametrize("groups", bounds.TOGETHER, ids="-".join)
 def test_refused_within_500_megabytes(groups: tuple[str, ...]) -> None:
     """All cases of some groups run in one process, whose peak bounds that of each."""
     done = subprocess.run(
@@ -36,4 +36,4 @@ def test_refused_within_500_megabytes(groups: tuple[str, ...]) -> None:
 
 
 def test_every_group_is_run() -> None:
-    assert {"logs", *bounds.TEXTS} == set(bounds.cases())
+    assert {group for groups in bounds.TOGETHER for group in groups} == set(bounds.cases())
