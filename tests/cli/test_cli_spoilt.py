@@ -112,18 +112,19 @@ def test_spoilt_recordings_give_no_numbers(
 ) -> None:
     bare, loaded, motor = logs
     bad = {}
-    for log in (bare, loaded, motor):
+    every = fault is degrees  # the others are told by the same checks
+    for log in (bare, loaded, motor) if every else (loaded,):
         table = np.loadtxt(log, delimiter=",", skiprows=1)
         fault(table)
         bad[log] = write(tmp_path / log.name, table)
-    commands = [
-        ("payload", result, bad[loaded]),
-        ("payload", result, loaded, "--unloaded", bad[bare]),
-        ("validate", result, bad[loaded]),
-        ("validate", ROBOT, bad[loaded]),
-        ("channels", ROBOT, bare, "--motor", bad[motor]),
-        ("identify", ROBOT, bare, "--payload", bad[loaded]),
-    ]
+    commands = [("payload", result, bad[loaded]), ("validate", ROBOT, bad[loaded])]
+    if every:
+        commands += [
+            ("payload", result, loaded, "--unloaded", bad[bare]),
+            ("validate", result, bad[loaded]),
+            ("channels", ROBOT, bare, "--motor", bad[motor]),
+            ("identify", ROBOT, bare, "--payload", bad[loaded]),
+        ]
     if fault is not one_flipped:  # of gains that are looked for, signs are unknown
         commands.append(("gains", ROBOT, bare, "--loaded", bad[loaded], "--mass", MASS))
     for command in commands:

@@ -40,7 +40,7 @@ def study(folder: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     """Return the log of a virtual servo arm beside its study, made once."""
     log = folder / "log.csv"
     if not log.exists():
-        document(capsys, "simulate", "so-101", "--preset", "servo", "--duration", "16", "-o", log)
+        document(capsys, "simulate", "so-101", "--preset", "servo", "--duration", "12", "-o", log)
         document(capsys, "identify", "so-101", log, "--holdout", "last:0.3", "-o", folder / "study")
     return log
 
@@ -91,7 +91,7 @@ def test_an_animation_needs_a_rollout(
 def test_arms_of_a_humanoid_roll_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Fourteen joints on one torso, whose stiffness is stated by the sheet of the log."""
     log = tmp_path / "log.csv"
-    document(capsys, "simulate", "g1-arms", "--preset", "servo", "--duration", "20", "-o", log)
+    document(capsys, "simulate", "g1-arms", "--preset", "servo", "--duration", "14", "-o", log)
     found = document(capsys, "identify", "g1-arms", log, "--holdout", "last:0.3", *WINDOWS)
     truth = load_robot(str(log.with_name("log_robot.toml")))
     assert len(found["joints"]) == truth.n_joints == 14

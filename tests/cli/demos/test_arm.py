@@ -15,7 +15,7 @@ from command_line import documented_fields
 
 @pytest.fixture(scope="module")
 def story(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    return run_demo(tmp_path_factory.mktemp("demo"), search_seconds=2.0)
+    return run_demo(tmp_path_factory.mktemp("demo"), search_seconds=1.0)
 
 
 def test_designed_motion_keeps_the_limits_and_determines_every_parameter(story: Demo) -> None:

@@ -42,6 +42,14 @@ def arm():
     return model, design_motion(model, QUICK)
 
 
+@pytest.fixture(scope="module")
+def alone(arm):
+    """The design of a whole population on one core."""
+    model, _ = arm
+    options = replace(QUICK, starts=24, time_limit=600.0)
+    return design_motion(model, options, cores=1, with_bound=False)
+
+
 def test_a_design_beats_fifty_random_motions(arm) -> None:
     model, design = arm
     found = log_det_of(model, design.motion)
@@ -95,24 +103,17 @@ def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> No
         assert np.all(np.abs(torque) <= 0.8 * MotionBounds.of(model).torque * (1 + 1e-4))
 
 
-def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm) -> None:
+def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm, alone) -> None:
     model, design = arm
-    alone, helped = (
-        design_motion(
-            model, replace(QUICK, starts=24, time_limit=600.0), cores=cores, with_bound=False
-        )
-        for cores in (1, 3)
-    )
+    helped = design_motion(model, alone.options, cores=3, with_bound=False)
     assert np.array_equal(alone.motion.coefficients, helped.motion.coefficients)
     other = design_motion(model, replace(QUICK, seed=1), with_bound=False)
     assert not np.array_equal(other.motion.coefficients, design.motion.coefficients)
 
 
-def test_a_cluster_finds_the_same_motion(arm) -> None:
+def test_a_cluster_finds_the_same_motion(arm, alone) -> None:
     distributed = pytest.importorskip("distributed")
-    model, _ = arm
-    options = replace(QUICK, starts=24, time_limit=600.0)
-    alone = design_motion(model, options, cores=1, with_bound=False)
+    model, options = arm[0], alone.options
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None
     ) as cluster:
@@ -323,13 +324,12 @@ def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) ->
     assert design.limits.is_respected
 
 
-def test_a_new_population_begins_where_one_brings_nothing_more(arm) -> None:
+def test_a_new_population_begins_where_one_brings_nothing_more(arm, alone) -> None:
     """Searches are numbered through all populations, and the best of all is kept."""
     model, design = arm
     most = design_motion(model, replace(QUICK, starts=26), with_bound=False)
-    one = design_motion(model, replace(QUICK, starts=24), with_bound=False)
-    assert set(one.candidates) < set(most.candidates)
-    assert most.candidates[0] >= one.candidates[0] >= design.candidates[0] - 1.0
+    assert set(alone.candidates) < set(most.candidates)
+    assert most.candidates[0] >= alone.candidates[0] >= design.candidates[0] - 1.0
 
 
 def test_an_interrupt_of_the_refinement_keeps_its_best(arm) -> None:

@@ -275,7 +275,7 @@ def test_random_gains_are_covered(by_current: tuple[VirtualRobot, Samples, Sampl
     robot, bare, loaded, _ = by_current
     n, rng = robot.model.n_joints, np.random.default_rng(8)
     off = []
-    for _ in range(30):
+    for _ in range(16):
         factors = 1.0 + 0.07 * (
             np.sqrt(1.0 / 3.0) * rng.normal() + np.sqrt(2.0 / 3.0) * rng.normal(size=n)
         )

@@ -89,7 +89,7 @@ def test_an_error_of_the_model_is_no_smaller_after_a_second_recording() -> None:
 
 def test_intervals_of_a_repeated_motion_keep_their_level_and_have_less_variance() -> None:
     held, ratio = [], []
-    for seed in range(40):
+    for seed in range(25):
         rng = np.random.default_rng(seed)
         noise = [rng.normal(size=Q.shape) for _ in range(3)]
         _, once = fitted(noise[:1])
@@ -106,7 +106,7 @@ def test_intervals_hold_what_blocks_of_like_motion_share() -> None:
     kinds = [random_fourier(MODEL, rng=20 + k, duration=8.0, n_harmonics=4) for k in range(6)]
     waves = np.array([f(2.0 * np.pi * h * t / 8.0) for h in range(1, 9) for f in (np.sin, np.cos)])
     held = []
-    for seed in range(40):
+    for seed in range(25):
         rng = np.random.default_rng(seed)
         lacking = [waves.T @ rng.normal(size=(len(waves), MODEL.n_joints)) for _ in kinds]
         parts = []

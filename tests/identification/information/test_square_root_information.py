@@ -258,11 +258,11 @@ def test_residual_energy_and_stack_follow_their_definition(robot):
 @pytest.mark.slow
 def test_a_long_stream_keeps_a_bounded_number_of_blocks_and_all_the_information(robot):
     model, base = robot
-    pieces = [recording(model, 250, seed=s) for s in range(120)]
+    pieces = [recording(model, 250, seed=s) for s in range(40)]
     moved = [replace(piece, t=piece.t + 2.5 * s) for s, piece in enumerate(pieces)]
-    information = accumulate_stream(model, base, iter(moved), block_seconds=0.05)
+    information = accumulate_stream(model, base, iter(moved), block_seconds=0.02)
     assert MOST_BLOCKS // 2 <= information.n_blocks <= 2 * MOST_BLOCKS
-    assert information.n_samples == 120 * 250
+    assert information.n_samples == 40 * 250
     lengths = [block.stop - block.start for block in information.blocks]
     assert max(lengths) < 4 * np.median(lengths)
     energy = sum((piece.tau**2).sum(axis=0) for piece in pieces)
