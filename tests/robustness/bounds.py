@@ -31,7 +31,7 @@ LARGEST = 500.0
 """Peak memory [MB] that a refused input may cost,"""
 SLOWEST = 2.0
 """and time [s], start of the interpreter included."""
-TOGETHER = (("logs",), ("deep",), ("deep sheets", "sheets", "options", "results"))
+TOGETHER = (("logs",), ("deep",), ("results",), ("deep sheets", "sheets", "options"))
 """Groups that share a process; what one leaves behind counts to the peak of the next."""
 
 
