@@ -83,8 +83,11 @@ def test_torque_limits_act_and_an_offset_is_outside_them() -> None:
     np.testing.assert_allclose(data.qfrc_actuator, [40.0 - 0.8, 39.0 - 0.8], rtol=0, atol=1e-12)
 
 
-def test_gains_are_read_again() -> None:
-    model = with_servo("ur10e", 0.0, 0.3)
+@pytest.mark.parametrize("offset", [0.0, -0.7])
+def test_gains_offsets_and_limits_are_read_again(offset: float) -> None:
+    model = with_servo("ur10e", offset, 0.3)
     again = read_mjcf(exported_mjcf(model))
     for joint, before in zip(again.joints, model.joints, strict=True):
         assert (joint.drive.kp, joint.drive.kd) == (before.drive.kp, before.drive.kd)
+        assert (joint.drive.offset or 0.0) == before.drive.offset
+        assert joint.limits.torque == pytest.approx(before.limits.torque, rel=1e-12)

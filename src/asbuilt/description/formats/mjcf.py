@@ -69,7 +69,7 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
     meshes and textures are taken out first. The frame of a link is the MuJoCo body frame. Bodies
     without joint are merged as fixed; several joints on one body become links in a row, all
     massless but the last. Armature, damping and frictionloss become drive values where they are
-    not zero, as do the gains of position actuators; named sites become frames. A body whose inertia
+    not zero, as do gains of position actuators and constants of actuators; named sites become frames. A body whose inertia
     could only come from a mesh is marked as unknown, with a note.
 
     `fixed_base` holds free joints at the pose of their body. Raises `DescriptionError` for other
@@ -380,7 +380,14 @@ class _Tree:
         )
         armature, viscous, coulomb = (value if value != 0.0 else None for value in values)
         kp, kd = self.actuators.gains(index)
-        return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb, kp=kp, kd=kd)
+        return DriveValues(
+            armature=armature,
+            viscous=viscous,
+            coulomb=coulomb,
+            offset=self.actuators.offset(index),
+            kp=kp,
+            kd=kd,
+        )
 
     def placed(self, position: Array, quaternion: Array, what: str) -> Array:
         R = rotation_from_quaternion(quaternion)

@@ -35,7 +35,8 @@ class Actuators:
         for actuator in self.of(joint):
             gear = abs(float(m.actuator_gear[actuator, 0]))
             if m.actuator_forcelimited[actuator]:
-                most = float(np.abs(m.actuator_forcerange[actuator]).max())
+                bias = self._constant(actuator)
+                most = float(np.abs(m.actuator_forcerange[actuator] - bias).max())
                 found = min(found, most * gear)
             if m.actuator_ctrllimited[actuator] and self.is_motor(actuator):
                 most = float(np.abs(m.actuator_ctrlrange[actuator]).max())
@@ -51,12 +52,28 @@ class Actuators:
             return float(gain[0]) * gear**2, float(-bias[2]) * gear**2
         return None, None
 
-    def is_motor(self, actuator: int) -> bool:
-        """Whether the torque of an actuator is proportional to its control."""
+    def offset(self, joint: int) -> float | None:
+        """Return the torque that the drive of a joint lacks at rest, None if there is none."""
+        m = self.model
+        held = [k for k in self.of(joint) if self.is_motor(k) or self.is_servo(k)]
+        return -sum(self._constant(k) * float(m.actuator_gear[k, 0]) for k in held) or None
+
+    def _constant(self, actuator: int) -> float:
+        """Return the part of an actuator's force that depends on nothing."""
         m, kinds = self.model, self.mujoco
+        affine = m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
+        return float(m.actuator_biasprm[actuator, 0]) if affine else 0.0
+
+    def is_motor(self, actuator: int) -> bool:
+        """Whether the torque of an actuator is its control times a factor, and a constant."""
+        m, kinds = self.model, self.mujoco
+        bias = m.actuator_biastype[actuator]
+        constant = bias == kinds.mjtBias.mjBIAS_AFFINE and not np.any(
+            m.actuator_biasprm[actuator, 1:3]
+        )
         return bool(
             m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
-            and m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_NONE
+            and (bias == kinds.mjtBias.mjBIAS_NONE or constant)
         )
 
     def is_servo(self, actuator: int) -> bool:
