@@ -5,7 +5,10 @@ import pytest
 from scipy.stats import t as student
 from tests.identification.ensembles.example_results import servo_result, two_link_result
 
+from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import pseudo_inertias
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.executor import open_workers
 from asbuilt.identification.bodies.cad_prior import cad_prior
@@ -134,3 +137,20 @@ def test_workers_draw_the_same_robots_to_the_last_bit(result: IdentificationResu
     assert here.table.tobytes() == there.table.tobytes()
     assert here.middle.tobytes() == there.middle.tobytes()
     assert here.chi_square.tobytes() == there.chi_square.tobytes()
+
+
+def test_masses_that_nothing_determines_stay_near_cad_beside_an_impossible_draw() -> None:
+    model = bundled_robot("ur10e")
+    base = find_base_parameters(model, DriveSet.parse("viscous,coulomb"))
+    prior = cad_prior(model, base.drive)
+    beta = base.regrouping @ prior.parameters
+    friction = [k for k, name in enumerate(base.names) if name.startswith(("Fv", "Fc"))]
+    beta[friction] = 5.0
+    impossible = beta.copy()
+    impossible[friction[0]] = -1.0
+    root = np.diag(1.0 / (0.01 * np.abs(beta) + 1e-4))
+    chi, chi_square = consistent_draws(prior, base, np.stack([beta, impossible]), root)
+    assert chi_square[0] < 0.02
+    assert chi_square[1] > 100.0
+    masses = chi[:, 9 : 10 * model.n_links : 10]
+    np.testing.assert_allclose(masses / prior.parameters[9:60:10], 1.0, atol=0.05)

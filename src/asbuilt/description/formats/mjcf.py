@@ -69,8 +69,9 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
     meshes and textures are taken out first. The frame of a link is the MuJoCo body frame. Bodies
     without joint are merged as fixed; several joints on one body become links in a row, all
     massless but the last. Armature, damping and frictionloss become drive values where they are
-    not zero, as do gains of position actuators and constants of actuators; named sites become frames. A body whose inertia
-    could only come from a mesh is marked as unknown, with a note.
+    not zero, as do the gains of position actuators and the constant torques of actuators; named
+    sites become frames. A body whose inertia could only come from a mesh is marked as unknown, with
+    a note.
 
     `fixed_base` holds free joints at the pose of their body. Raises `DescriptionError` for other
     free joints, for ball joints, included files and whatever MuJoCo refuses

@@ -13,7 +13,12 @@ from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
-from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicFits, EntropicProblem
+from asbuilt.identification.bodies.entropic_fit import (
+    BARRIER,
+    Coordinates,
+    EntropicFits,
+    EntropicProblem,
+)
 
 DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
 """Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
@@ -50,12 +55,22 @@ class EntropicPath:
                 continue
         return {weight: fit for weight, fit in fits.items() if weight in wanted}
 
-    def roughly(self, factors: Array, weight: float) -> Array:
+    def roughly(self, factors: Array, weight: float, *, barrier: float = BARRIER) -> Array:
         """Return the fits of many factors, to a small part of a standard error, for one weight."""
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
-        self._reached[weight] = self._problem.fit(factors, weight, start, close=ROUGH)
+        self._reached[weight] = self._problem.fit(
+            factors, weight, start, barrier=barrier, close=ROUGH
+        )
         return self._reached[weight].chi
+
+    def unbarred(self, factors: Array, weight: float) -> Array:
+        """Return rough fits in which CAD, not the barrier, decides what factors leave open.
+
+        The barrier of the bounds would outweigh CAD at weights below one, and put masses in the
+        middle of their bounds.
+        """
+        return self.roughly(factors, weight, barrier=BARRIER * min(weight, 1.0))
 
     def exactly(self, factor: Array, weight: float) -> Array:
         """Return the fit of one factor, from the last rough one or through stronger weights."""

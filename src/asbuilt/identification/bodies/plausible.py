@@ -58,7 +58,7 @@ def plausible_parameters(
             path = EntropicPath.of(cad, Coordinates.of(base), generous_bounds(cad))
             above, weight, found = np.inf, DESCENT[0], None
             while weight >= WEAKEST:
-                (chi,) = path.roughly(factor[None], weight)
+                (chi,) = path.unbarred(factor[None], weight)
                 if chi_square(chi) <= limit:
                     found = chi
                     break
@@ -70,7 +70,7 @@ def plausible_parameters(
                 if chi_square(found) >= (1.0 - CLOSE) * limit:
                     break
                 weight = float(np.sqrt(above * below))
-                (chi,) = path.roughly(factor[None], weight)
+                (chi,) = path.unbarred(factor[None], weight)
                 if chi_square(chi) <= limit:
                     below, found = weight, chi
                 else:

@@ -18,10 +18,9 @@ from asbuilt.identification.bodies.entropic_path import DESCENT, EntropicPath
 from asbuilt.identification.bodies.plausible import WEAKEST
 from asbuilt.identification.information.triangular import triangular_factor
 
-FAITHFUL = 0.01
-"""Chi-square of a fit from its draw, a tenth of a standard error, that changes no distribution."""
-
-
+FAITHFUL = 0.1
+"""Distance of a fit from its draw, in standard errors, that changes no distribution; and share of
+its distance by which the robot next to an impossible draw may be farther."""
 AT_ONCE = 50
 """Draws that are fitted together, whoever does it, so that the numbers do not depend on that."""
 
@@ -47,9 +46,9 @@ def consistent_draws(
     """Return the consistent parameters next to many draws, and their chi-squares.
 
     Draw i is `min |R (K chi - beta_i)|^2 / 2 + weight D(chi || CAD)` with the largest weight of CAD
-    at which no draw of its part moves by more than a tenth of a standard error. Where physics does
-    not allow a draw (a negative friction, an impossible link), the nearest possible one takes its
-    place. What the recordings do not determine stays that of CAD.
+    at which it is not a tenth of a standard error, or of its distance, farther from its draw than
+    without CAD. Where physics does not allow a draw (a negative friction, an impossible link), the
+    nearest possible one takes its place. What the recordings do not determine stays that of CAD.
 
     Parameters
     ----------
@@ -87,23 +86,28 @@ def _fitted(part: _Part) -> tuple[Array, Array]:
     weights = [*DESCENT]
     while weights[-1] > WEAKEST * 1.5:
         weights.append(weights[-1] / 10.0)
-    found = None
+    fits, distances = list[Array](), list[Array]()
     with one_blas_thread():
         path = EntropicPath.of(cad, Coordinates.of(base), generous_bounds(cad))
         for weight in weights:
             try:
-                chi = path.roughly(factors, weight)
+                chi = path.unbarred(factors, weight)
             except IdentifiabilityError:
                 continue
             moved = (chi @ base.regrouping.T - drawn) @ information_root.T
-            found = chi, np.einsum("ij,ij->i", moved, moved)
-            if np.max(found[1]) <= FAITHFUL:
+            fits.append(chi)
+            distances.append(np.linalg.norm(moved, axis=1))
+            if np.max(distances[-1]) <= FAITHFUL:
                 break
-    if found is None:
+    if not fits:
         raise IdentifiabilityError(
             f"no physically consistent parameters of {base.robot} were found for the draws"
         )
-    return found
+    distance = np.stack(distances)
+    nearest = distance.min(axis=0)
+    first = np.argmax(distance <= nearest + FAITHFUL * np.maximum(nearest, 1.0), axis=0)
+    every = np.arange(len(drawn))
+    return np.stack(fits)[first, every], distance[first, every] ** 2
 
 
 def _factor(root: Array, beta: Array) -> Array:

@@ -22,6 +22,8 @@ from asbuilt.identification.result.result import IdentificationResult
 Seed = np.random.Generator | int | None
 QUANTILES = (0.05, 0.5, 0.95)
 """Quantiles of the range of a parameter."""
+UNLIKE = 2.5
+"""Factor of the mass of a link from which a range is unlike CAD; own choice."""
 MOST = 100_000
 
 
@@ -189,7 +191,24 @@ def draw_ensemble(
             f"{np.sum(far)} of {n} draws were physically impossible; the nearest possible robot"
             " stands for each"
         )
+    notes += _heavy(result, chi)
     return Ensemble(result, chi, centre, kp, kd, delay, chi_square, tuple(notes))
+
+
+def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
+    """Return a note on links whose mass in the draws (N, n_standard) is far from that of CAD."""
+    masses = np.quantile(drawn[:, 9 : 10 * result.model.n_links : 10], QUANTILES, axis=0)
+    told = []
+    for link, (low, _, high) in zip(result.model.links, masses.T, strict=True):
+        cad = link.inertia.mass
+        if link.inertia_known and cad > 0.0 and (high > UNLIKE * cad or low < cad / UNLIKE):
+            told.append(f"{link.name} {low:.3g} to {high:.3g} kg, CAD {cad:.3g} kg")
+    if not told:
+        return []
+    return [
+        "the recordings allow masses unlike those of CAD (5 to 95 % of the draws):"
+        f" {'; '.join(told)}. Give masses that are known, or record more motion"
+    ]
 
 
 def _tails(result: IdentificationResult, n: int, random: np.random.Generator) -> Array:

@@ -183,7 +183,7 @@ def export_result(
         notes["urdf"] = (*missing, *said, *kept, *delay_notes(result, "urdf"))
     if mjcf is not None:
         files["mjcf"], said = write_mjcf(mjcf, in_simulators)
-        notes["mjcf"] = (*said, *kept, *delay_notes(result, "mjcf"))
+        notes["mjcf"] = (*said, *kept, *delay_notes(result, "mjcf"), *held_notes(result.model))
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = load
@@ -256,6 +256,14 @@ def delay_notes(result: IdentificationResult, kind: Literal["mjcf", "urdf"]) -> 
         return ()
     gains = ("URDF has no place for the gains of the servo",) if kind == "urdf" else ()
     return (*servo_left_out(result.servo, kind.upper()), *gains)
+
+
+def held_notes(model: RobotModel) -> tuple[str, ...]:
+    """Return what a model file lacks of a robot whose free joint was held."""
+    held = [note for note in model.notes if note.startswith("the free joint of ")]
+    if not held:
+        return ()
+    return (f"{held[0]}: the file has no free joint and no trunk; put its bodies under yours",)
 
 
 def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:

@@ -40,7 +40,7 @@ STRIP, TITLE, MARGIN = 118, 46, 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shown:
-    """Times (N,) [s], positions (N, n) and errors (N, n) by robot, and what enlarges the errors."""
+    """Times of the film (N,) [s], positions and errors (N, n) by robot, and what enlarges them."""
 
     t: Array
     q: Array
@@ -64,7 +64,7 @@ def write_rollout_animation(
 
     One panel for each robot that was simulated: the measured motion as a solid robot, the simulated
     one as lines whose distance to it is enlarged by the factor that is stated. Below, the error
-    over time. Every window starts in the measured state.
+    over time. Every window starts in the measured state; time between windows is left out.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def write_rollout_animation(
         )
     shown = _shown(rollout.motions[recording])
     frames = [Pillow.fromarray(image) for image in _frames(model, shown, rollout, width)]
-    pause = round(1000 * float(shown.t[-1] - shown.t[0]) / max(len(shown.t) - 1, 1))
+    pause = round(1000 * float(shown.t[-1]) / max(len(shown.t) - 1, 1))
     stream = io.BytesIO()
     if suffix == ".gif":
         frames = [each.quantize(128, dither=Pillow.Dither.NONE) for each in frames]
@@ -128,7 +128,14 @@ def _shown(motion: SimulatedMotion) -> _Shown:
     }
     worst = max(float(np.sqrt(np.nanmean(error**2))) for error in errors.values())
     fitting = [each for each in FACTORS if each * worst <= VISIBLE]
-    return _Shown(t, measured, errors, fitting[-1] if fitting else 1.0)
+    return _Shown(_without_gaps(t), measured, errors, fitting[-1] if fitting else 1.0)
+
+
+def _without_gaps(t: Array) -> Array:
+    """Return times from zero that pass over gaps between windows in one usual step."""
+    steps = np.diff(t)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return np.concatenate([[0.0], np.cumsum(np.where(steps > 1.5 * usual, usual, steps))])
 
 
 def _frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int) -> Iterator[Image]:

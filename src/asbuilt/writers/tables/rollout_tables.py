@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.description.model import RobotModel
-from asbuilt.findings import Cure
+from asbuilt.findings import Cure, Finding
 from asbuilt.tables import Cell, Column, Shown, Table, significant, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors
@@ -43,12 +43,15 @@ def rollout_text(
     said = (
         []
         if cure_text is None
-        else [
-            wrapped(f"{each.message}. {cure_text(each.cure)}" if each.cure else each.message)
-            for each in rollout_findings(rollouts)
-        ]
+        else [wrapped(_advised(each, cure_text)) for each in rollout_findings(rollouts)]
     )
     return "\n" + "\n".join([*(part.as_text(full) for part in parts), *said])
+
+
+def _advised(finding: Finding, cure_text: Callable[[Cure], str]) -> str:
+    """Return a finding with its cure in the words of `cure_text`, as sentences."""
+    advice = cure_text(finding.cure) if finding.cure else ""
+    return f"{finding.message}." + (f" {advice[:1].upper()}{advice[1:]}." if advice else "")
 
 
 def refined_text(refined: Refined) -> str:

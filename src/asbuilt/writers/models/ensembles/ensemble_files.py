@@ -16,7 +16,7 @@ from asbuilt.writers.models.as_built import keeping_described_drives
 from asbuilt.writers.models.ensembles.ensemble_models import ensemble_model
 from asbuilt.writers.models.ensembles.ensemble_table import correlation, parquet_table, ranges
 from asbuilt.writers.models.ensembles.loader import loader_text
-from asbuilt.writers.models.export import delay_notes, urdf_to_edit
+from asbuilt.writers.models.export import delay_notes, held_notes, urdf_to_edit
 from asbuilt.writers.models.mjcf import mjcf_notes, write_mjcf
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.models.urdf_edit import urdf_notes
@@ -141,4 +141,7 @@ def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
     _, kept = keeping_described_drives(first, ensemble.result.model)
     said = mjcf_notes(first) if models == "mjcf" else urdf_notes(first)
     own = f"numbers are those of draw 0: {'; '.join(said)}" if said else ""
-    return tuple(each for each in (own, *kept, *delay_notes(ensemble.result, models)) if each)
+    held = held_notes(ensemble.result.model) if models == "mjcf" else ()
+    return tuple(
+        each for each in (own, *kept, *delay_notes(ensemble.result, models), *held) if each
+    )

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from asbuilt.description.model import RobotModel
-from asbuilt.findings import Finding
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
@@ -63,7 +62,7 @@ def rollout_html(
             ("by-joint", "Joints"),
         ],
         cards=_cards(model, longest),
-        findings=[_sentence(each) for each in rollout_findings(rollouts)],
+        findings=[each.text for each in rollout_findings(rollouts)],
         animation=moving,
         motion=section_markup(TEMPLATE, rollout_fields(model, rollouts)),
         joints=[
@@ -93,10 +92,6 @@ def _cards(model: RobotModel, rollout: Rollout) -> list[Card]:
         until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""
         cards.append(Card("good", share(less), f"less error than CAD{until}"))
     return cards
-
-
-def _sentence(finding: Finding) -> str:
-    return f"{finding.message}. {finding.cure.text}" if finding.cure else finding.message
 
 
 def _address(path: Path) -> str:

@@ -91,7 +91,7 @@ class IsaacLab(SimulatorFormat):
         )
         if delayed:
             notes = (*notes, "the delay is rounded to whole physics steps")
-        return text, notes
+        return text, (*notes, "masses and inertias of links are in a URDF or a USD overlay")
 
 
 def _actuator(drives: ExportedDrives) -> tuple[str, str]:
