@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -31,6 +31,10 @@ DELAY_SPREAD = 20.0
 
 SMALLEST = 1e-6
 """Least error of a start [rad, m, rad/s or m/s]."""
+MOST_KEPT = 2e7
+"""Numbers of derivatives that are kept for other weights."""
+Slopes = Callable[[], Iterator[tuple[Branch, slice, Array]]]
+"""What yields the derivatives of the windows of a recording, branch by branch."""
 MOSTLY = 0.5
 """Share of its variance by prior and torque rows from which a parameter is left undetermined."""
 
@@ -234,19 +238,43 @@ class Objective:
             for start, cut in zip(point.starts, self.windows, strict=True)
         ]
 
-    def quadratic(self, point: Point, motions: Sequence[Motion], weights: Weights) -> Quadratic:
-        """Return the quadratic model of the cost around a point, starts eliminated."""
+    def slopes(self, point: Point, motions: Sequence[Motion]) -> tuple[Slopes, ...]:
+        """Return the derivatives of the motions of every recording, computed once if they are few.
+
+        They do not depend on weights. Others are computed each time that they are asked for.
+        """
+        needed = np.any(self._to_parameters(point)[:, self.free] != 0.0, axis=1)
+        robot, links = self.robot(point), point.chi[: 10 * self.n_links]
+        found = [
+            partial(self.trajectories.derivatives, robot, cut, links, motion, needed)
+            for cut, motion in zip(self.windows, motions, strict=True)
+        ]
+        size = sum(cut.n_windows * cut.n_samples for cut in self.windows)
+        if size * self.trajectories.model.n_joints * np.count_nonzero(needed) > MOST_KEPT:
+            return tuple(found)
+        return tuple(partial(iter, list(each())) for each in found)
+
+    def quadratic(
+        self,
+        point: Point,
+        motions: Sequence[Motion],
+        weights: Weights,
+        slopes: Sequence[Slopes] | None = None,
+    ) -> Quadratic:
+        """Return the quadratic model of the cost around a point, starts eliminated.
+
+        `slopes` are those of the point and its motions; None: they are computed.
+        """
         to_z = self._to_parameters(point)
-        needed = np.any(to_z[:, self.free] != 0.0, axis=1)
+        slopes = self.slopes(point, motions) if slopes is None else slopes
         H = np.zeros((to_z.shape[0], to_z.shape[0]))
         scores, starts, gain = [], list[StartModel](), 0.0
-        robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         errors, away = self.errors(motions), self._starts_moved(point)
-        for k, (cut, motion, error, of_window) in enumerate(
-            zip(self.windows, motions, errors, weights.windows, strict=True)
+        for k, (cut, derivatives, error, of_window) in enumerate(
+            zip(self.windows, slopes, errors, weights.windows, strict=True)
         ):
             score = np.zeros((cut.n_windows, to_z.shape[0]))
-            for branch, part, J in self.trajectories.derivatives(robot, cut, links, motion, needed):
+            for branch, part, J in derivatives():
                 root = np.sqrt(of_window[part])[:, None, None] * np.sqrt(
                     weights.joints[branch.joints]
                 )

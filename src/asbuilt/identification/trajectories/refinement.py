@@ -73,14 +73,15 @@ def _refined(
     done, costs = 0, list[float]()
     inflation = 1.0
     weights = weights_of(objective, motions, steps, inflation)
-    quadratic = objective.quadratic(point, motions, weights)
+    slopes = objective.slopes(point, motions)
+    quadratic = objective.quadratic(point, motions, weights, slopes)
     for number in range(steps.rounds):
         inflation = max(1.0, inflation * score_inflation(quadratic, weights))
         renewed = weights_of(objective, motions, steps, inflation)
         if number and np.all(np.abs(np.log(renewed.joints / weights.joints)) < steps.same):
             break
         weights, damping = renewed, steps.damping
-        quadratic = objective.quadratic(point, motions, weights)
+        quadratic = objective.quadratic(point, motions, weights, slopes)
         for _ in range(steps.most):
             if _settled(objective, point, quadratic, steps):
                 break
@@ -89,7 +90,8 @@ def _refined(
             if moved is None:
                 break
             point, motions, damping = moved
-            before, quadratic = quadratic.cost, objective.quadratic(point, motions, weights)
+            slopes = objective.slopes(point, motions)
+            before, quadratic = quadratic.cost, objective.quadratic(point, motions, weights, slopes)
             costs.append(quadratic.cost)
             if progress is not None:
                 progress((number + done / (steps.most * steps.rounds)) / steps.rounds)

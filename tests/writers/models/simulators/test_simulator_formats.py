@@ -185,6 +185,23 @@ def test_mjlab_ranges_are_those_of_draws(result: IdentificationResult, written: 
     )
 
 
+def test_mjlab_takes_efforts_where_no_servo_was_identified(
+    result: IdentificationResult, tmp_path: Path
+) -> None:
+    joints = tuple(
+        replace(joint, drive=replace(joint.drive, kp=None, kd=None))
+        for joint in result.model.joints
+    )
+    bare = replace(
+        result, servo=None, servo_errors=None, model=replace(result.model, joints=joints)
+    )
+    export = export_result(bare, simulators={"mjlab": tmp_path / "a.py"})
+    text = export.files["mjlab"].read_text()
+    assert "IdealPdActuatorCfg(" in text
+    assert "Builtin" not in text
+    assert any("commands are torques" in note for note in export.notes["mjlab"])
+
+
 def test_ros2_control_tags_and_gains(result: IdentificationResult, written: Export) -> None:
     tags = fromstring(written.files["ros2-control"].read_text())
     second = tags.findall("joint")[1]

@@ -24,7 +24,7 @@ into the events of the environment: absolute values, 5 to 95 % of what the recor
 of single joints know no correlation; an ensemble of asbuilt keeps it.
 """
 
-from mjlab.actuator import BuiltinPositionActuatorCfg
+from mjlab.actuator import {kind}
 from mjlab.envs.mdp import dr
 from mjlab.managers.event_manager import EventTermCfg
 from mjlab.managers.scene_entity_config import SceneEntityCfg
@@ -42,7 +42,7 @@ def actuators(physics_step):
     """Return one actuator for each joint, for a physics step [s]."""
     lag = round(DELAY / physics_step)
     return tuple(
-        BuiltinPositionActuatorCfg(
+        {kind}(
             target_names_expr=(name,),
             stiffness=kp,
             damping=kd,
@@ -83,14 +83,23 @@ class Mjlab(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the module and its notes."""
+        kind, unlimited = (
+            ("BuiltinPositionActuatorCfg", "None")
+            if drives.has_gains
+            else ("IdealPdActuatorCfg", 'float("inf")')  # it takes commanded efforts too
+        )
         joints = "".join(
             f"    {re.escape(joint.name)!r}: ({joint.drive.kp or 0.0!r}, {joint.drive.kd or 0.0!r},"
-            f" {_number(joint.limits.torque)}, {joint.drive.armature or 0.0!r},"
+            f" {_number(joint.limits.torque, unlimited)}, {joint.drive.armature or 0.0!r},"
             f" {joint.drive.coulomb or 0.0!r}, {joint.drive.viscous or 0.0!r}),\n"
             for joint in drives.plain.joints
         )
         text = TEXT.format(
-            origin=drives.origin, joints=joints, delay=drives.delay, ranges=_ranges(drives)
+            origin=drives.origin,
+            kind=kind,
+            joints=joints,
+            delay=drives.delay,
+            ranges=_ranges(drives),
         )
         notes = drives.left_out("mjlab", delay=True)
         if drives.delay:
@@ -114,8 +123,8 @@ def _ranges(drives: ExportedDrives) -> str:
     return text
 
 
-def _number(value: float) -> str:
-    return repr(float(value)) if np.isfinite(value) else "None"
+def _number(value: float, unlimited: str) -> str:
+    return repr(float(value)) if np.isfinite(value) else unlimited
 
 
 SIMULATOR_FORMATS.register("mjlab", Mjlab())
