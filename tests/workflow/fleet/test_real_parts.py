@@ -37,8 +37,9 @@ def filled(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_cluster_writes_the_same_ledger_though_a_worker_is_killed(
-    filled: Path, logs: list[Path], tmp_path: Path
+    filled: Path, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Paths are relative to a folder that is not that of the workers."""
     ledger = tmp_path / "ledger"
     with distributed.LocalCluster(
         n_workers=2,
@@ -57,7 +58,9 @@ def test_a_cluster_writes_the_same_ledger_though_a_worker_is_killed(
         killer = threading.Thread(target=kill)
         killer.start()
         fleet = FleetOptions(scheduler=cluster.scheduler_address)
-        done = add_logs(ledger, MODEL, logs, robot_id="R1", fleet=fleet)
+        monkeypatch.chdir(tmp_path)
+        relative = [os.path.relpath(log) for log in logs]
+        done = add_logs("ledger", MODEL, relative, robot_id="R1", fleet=fleet)
         killer.join()
     assert not done.failed
     assert len(done.added) + len(done.skipped) == len(logs)

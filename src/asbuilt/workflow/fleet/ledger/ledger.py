@@ -241,7 +241,7 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
 def _check_mark(root: str, store: Store) -> None:
     try:
         mark = json.loads(store.read(MARK))
-        written, version = mark["format"], mark["format_version"]
+        written, version = mark["format"], mark.get("format_version")
     except (OSError, ValueError, KeyError, TypeError) as problem:
         raise ResultError(
             f"{root} is not a ledger: {MARK} is damaged ({type(problem).__name__})",

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -110,12 +111,13 @@ def add_logs(
         If the place is no ledger, no log is given, or no log can fix the settings.
     """
     began = time.monotonic()
-    reading, options = reading or ReadingOptions(), options or StudyOptions()
+    ledger, logs, reading = reachable(ledger, logs, reading or ReadingOptions(), fleet)
+    options = options or StudyOptions()
     described = robot if isinstance(robot, RobotModel) else load_robot(robot)
     if reading.gravity is not None:
         described = described.with_gravity(reading.gravity)
     recordings = recordings_of(logs)
-    opened = open_ledger(str(ledger), create=True)
+    opened = open_ledger(ledger, create=True)
     with open_workers(*who(fleet)) as workers:
         settings, fixed, failed = _settings(
             opened, described, recordings, reading, options, robot_id, workers
@@ -230,6 +232,28 @@ def conclude_addition(
         findings=ranked([*said, *ledger.findings]),
         seconds=time.monotonic() - began,
         dashboard=dashboard,
+    )
+
+
+def reachable(
+    ledger: str | Path,
+    logs: Sequence[str | Path],
+    reading: ReadingOptions,
+    fleet: FleetOptions | None,
+) -> tuple[str, list[Path], ReadingOptions]:
+    """Return ledger, logs and how to read them, by absolute paths for workers of a scheduler.
+
+    Those run in other folders than this process.
+    """
+    root, paths, sheet = str(ledger), [Path(each) for each in logs], reading.sheet
+    if who(fleet)[1] is None:
+        return root, paths, reading
+    if isinstance(sheet, str | os.PathLike):
+        reading = replace(reading, sheet=Path(sheet).absolute())
+    return (
+        root if "://" in root else str(Path(root).absolute()),
+        [path.absolute() for path in paths],
+        reading,
     )
 
 

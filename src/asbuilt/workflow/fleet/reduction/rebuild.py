@@ -20,6 +20,7 @@ from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.reduction.add import (
     Addition,
     conclude_addition,
+    reachable,
     recordings_of,
     run_tasks,
     who,
@@ -78,8 +79,9 @@ def rebuild_ledger(
         If the logs from which settings are chosen cannot be used.
     """
     began = time.monotonic()
-    reading, options = reading or ReadingOptions(), options or StudyOptions()
-    opened, renewed = open_ledger(str(ledger)), []
+    ledger, logs, reading = reachable(ledger, logs, reading or ReadingOptions(), fleet)
+    options = options or StudyOptions()
+    opened, renewed = open_ledger(ledger), []
     types = opened.types()
     with open_workers(*who(fleet)) as workers:
         by_type, reports = _by_type(opened, types, workers, recordings_of(logs))
@@ -130,10 +132,11 @@ def _by_type(
         if name is not None and type_of[name.settings] in types:
             found.setdefault(type_of[name.settings], []).append((files, name))
             continue
-        problem = outcome.problem or f"{files[0]} is not in the ledger"
-        failed.append(
-            LogReport(str(files[0]), "", problem=problem, cure=Cure("add it", call="add_logs"))
-        )
+        if files[0].exists():
+            problem, cure = f"{files[0]} is not in the ledger", Cure("add it", call="add_logs")
+        else:
+            problem, cure = f"{files[0]} does not exist", Cure("give the logs by their paths")
+        failed.append(LogReport(str(files[0]), "", problem=outcome.problem or problem, cure=cure))
     for items in found.values():
         items.sort()
     return found, failed
