@@ -34,7 +34,7 @@ class Bounds:
 
 
 BOUNDS: dict[Kind, Bounds] = {
-    "clock": Bounds(-np.inf, np.inf, 0.01),
+    "clock": Bounds(-0.4, 0.6, 0.01),
     "zero": Bounds(-np.deg2rad(20.0), np.deg2rad(20.0), np.deg2rad(0.3)),
     "scale": Bounds(-1.15, 1.0, 0.03),
     "nonlinear": Bounds(-0.8, 0.0, 0.05),
@@ -43,6 +43,10 @@ BOUNDS: dict[Kind, Bounds] = {
     "spring": Bounds(0.0, np.inf, 0.02),
 }
 """Own choices: what a robot in use can have; `drift` and `spring` in largest torques of a joint."""
+CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
+"""Factors by which clocks are wrong beyond these bounds: another unit, or every other sample."""
+ABOUT = 1.2
+"""Factor within which a clock is off by about one of them."""
 IN_TORQUES = ("drift", "spring")
 NAMED = 0.05
 """Share of the squared residual from which on an error is named."""

@@ -28,7 +28,9 @@ from asbuilt.validation.log_errors.error_columns import (
 )
 from asbuilt.validation.log_errors.forward_selection import BlockEquations, Chosen
 from asbuilt.validation.log_errors.log_error_bounds import (
+    ABOUT,
     BOUNDS,
+    CLOCK_FACTORS,
     IN_TORQUES,
     NAMED,
     PRISMATIC_ZERO,
@@ -44,8 +46,6 @@ ROUNDS, SETTLED = 12, 1e-3
 """Gauss-Newton steps, and the step at which they have settled."""
 AS_MUCH = 0.5
 """Share of the residual, over that of the error chosen, by which another one may be meant."""
-CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
-"""Factors about which a clock is looked for that is off by more than what is first order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ class LogErrorSearch:
         if left[best] > (1.0 - NAMED) * whole:
             return None
         (error,) = self._refined([(own, 0.0)], replace(nothing, clock=best)) or (None,)
-        if error is None:
+        if error is None or abs(np.log((1.0 + error.value) / best)) > np.log(ABOUT):
             return None
         after = self._residual(replace(nothing, clock=1.0 + error.value).of)
         return replace(error, share=1.0 - after / whole)
@@ -120,12 +120,17 @@ class LogErrorSearch:
 
     @cached_property
     def _picked(self) -> tuple[Chosen, ...]:
+        return self._selected()
+
+    def _selected(self, without: Kind | None = None) -> tuple[Chosen, ...]:
+        """Return the plausible columns chosen one at a time, those of a kind left out."""
         columns, equations = self._first
-        return equations.selected(
-            MOST,
-            lambda each: self._is_plausible(columns.candidates[each.column], each),
-            self._given,
-        )
+
+        def admitted(each: Chosen) -> bool:
+            candidate = columns.candidates[each.column]
+            return candidate.kind != without and self._is_plausible(candidate, each)
+
+        return equations.selected(MOST, admitted, self._given)
 
     @property
     def tilt_is_first(self) -> bool:
@@ -140,8 +145,19 @@ class LogErrorSearch:
         return max((each.share for each in self._picked), default=0.0)
 
     def chosen(self) -> list[LogError]:
-        """Return the errors chosen one at a time, with their values by Gauss-Newton steps."""
-        candidates, picked = self._first[0].candidates, self._picked
+        """Return the errors chosen one at a time, with their values by Gauss-Newton steps.
+
+        If a clock is chosen first and its value then is none that clocks have, others are.
+        """
+        picked = self._picked
+        found = self._settled(picked)
+        if not found and picked and self._first[0].candidates[picked[0].column].kind == "clock":
+            found = self._settled(self._selected(without="clock"))
+        return found
+
+    def _settled(self, picked: Sequence[Chosen]) -> list[LogError]:
+        """Return the errors of chosen columns, with their values by Gauss-Newton steps."""
+        candidates = self._first[0].candidates
         if not any(
             candidates[each.column].kind in BOUNDS and each.share >= NAMED for each in picked
         ):
