@@ -17,8 +17,11 @@ from asbuilt.experiment.logs.readers import read_recording, read_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples
 from fourier_recording import record
 
+HARD_STOPS = ("20_01_31", "14harm50sec")
+"""Parts of the names of logs that end with a single current of 4 to 13 A as the robot stops."""
 ERRORS_OF_CLEAN = {"weak_excitation"}
 
 
@@ -55,6 +58,19 @@ def test_no_false_alarm(name: str, seed: int) -> None:
     assert set(check.codes) <= ERRORS_OF_CLEAN, check.as_text()
     assert check.ok
     check.raise_errors()
+
+
+def test_single_torques_that_stand_out_are_named_and_not_used(
+    iiwa: RobotModel, clean: Recording
+) -> None:
+    tau, rows = np.array(clean.tau), np.arange(50, clean.n_samples - 20, 40)
+    tau[rows, 3] += 80.0
+    spoilt = replace(clean, tau=tau)
+    found = finding(iiwa, spoilt, "torque_spikes")
+    assert found.joint == iiwa.joint_names[3]
+    assert found.message.startswith(f"{len(rows)} of {clean.n_samples} torques")
+    used, wanted = prepare_samples(spoilt).tau, prepare_samples(clean).tau
+    np.testing.assert_allclose(used, wanted, atol=0.02 * np.abs(wanted[:, 3]).max())
 
 
 def test_noise_of_joints_at_rest_is_no_velocity(iiwa: RobotModel, clean: Recording) -> None:
@@ -470,8 +486,9 @@ def test_real_currents(shared: Path) -> None:
         scaled = amperes.scaled([14.87, 13.26, 11.13, 10.62, 11.03, 11.47])
         steps = {"coarse_positions"} if "30sec" not in path.name else set()
         steps = steps if "40sec" not in path.name else set()
-        assert codes(ur10e, scaled) == {"clock_irregular"} | steps
-        assert codes(ur10e, amperes) == {"clock_irregular", "torque_scale"} | steps
+        stops = {"torque_spikes"} if any(part in path.name for part in HARD_STOPS) else set()
+        assert codes(ur10e, scaled) == {"clock_irregular"} | steps | stops
+        assert codes(ur10e, amperes) == {"clock_irregular", "torque_scale"} | steps | stops
 
 
 @pytest.mark.parametrize("seed", range(3))

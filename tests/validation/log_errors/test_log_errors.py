@@ -22,7 +22,7 @@ from asbuilt.findings import Finding
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.log_errors.log_error_search import LogError
 from asbuilt.validation.log_errors.log_error_text import log_error_findings
-from asbuilt.validation.log_errors.log_errors import log_errors
+from asbuilt.validation.log_errors.log_errors import log_errors, sought_errors
 from asbuilt.validation.log_errors.plateaus import plateaus
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -179,7 +179,7 @@ def test_a_plateau_of_the_torque_is_named_with_its_level(
     model = bundled_robot(name)
     limit = part * np.abs(logged(model).tau[:, joint]).max()
     found = findings(name, logged(model, saturating(joint, part)))
-    assert {code for code in found if code != "clock_unseen"} == {"torque_saturates"}
+    assert {code for code in found if not code.endswith("_unseen")} == {"torque_saturates"}
     assert found["torque_saturates"].joint == model.joint_names[joint]
     said = found["torque_saturates"].message.split("stays at ")[1].split()[0]
     assert abs(float(said)) == pytest.approx(limit, rel=0.03)
@@ -206,10 +206,27 @@ def test_friction_at_constant_speed_is_no_saturation() -> None:
 )
 def test_a_log_that_shows_no_error_of_the_clock_says_so(name: str, unseen: bool) -> None:
     found = findings(name, logged(bundled_robot(name)))
-    assert set(found) == ({"clock_unseen"} if unseen else set())
+    assert {code for code in found if not code.endswith("_unseen")} == set()
+    assert ("clock_unseen" in found) == unseen
     if unseen:
         whole = "of any size" if name == "scara" else "below"
         assert whole in found["clock_unseen"].message
+
+
+def test_errors_beyond_the_size_that_shows_are_found_and_smaller_ones_are_not() -> None:
+    model, joint = bundled_robot("ur10e"), 3
+    samples = prepare_samples(logged(model))
+    sought = sought_errors(identify_samples(model, samples, drive=DRIVE), [samples])
+    zero, share = sought.zero_unseen[joint], sought.gain_unseen[joint]
+    assert 0.0 < zero < 0.05
+    assert 0.0 < share < 0.2
+    for size, named in ((2.0, True), (0.4, False)):
+        for kind, fault in (
+            ("zero", zero_off(joint, size * zero)),
+            ("scale", gain(joint, 1.0 - size * share)),
+        ):
+            errors = [(each.kind, each.joint) for each in found("ur10e", fault)]
+            assert ((kind, model.joint_names[joint]) in errors) == named, (kind, size)
 
 
 def test_a_drifting_sensor_is_measured() -> None:
@@ -221,7 +238,8 @@ def test_a_drifting_sensor_is_measured() -> None:
 def test_the_cure_of_a_zero_position_is_a_field_of_a_sheet() -> None:
     model = bundled_robot("ur10e")
     samples = prepare_samples(logged(model, zero_off(1, 0.035)))
-    (finding,) = log_error_findings(identify_samples(model, samples, drive=DRIVE), [samples])
+    found = log_error_findings(identify_samples(model, samples, drive=DRIVE), [samples])
+    (finding,) = (each for each in found if not each.code.endswith("_unseen"))
     assert finding.code == "zero_position_wrong"
     assert "deg too large" in finding.message
     assert "zero = [0, 0.03" in str(finding.cure)

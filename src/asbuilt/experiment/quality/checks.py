@@ -32,7 +32,11 @@ from asbuilt.experiment.quality.position_checks import (
 from asbuilt.experiment.quality.second_pass import second_pass
 from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed_motion
 from asbuilt.experiment.quality.torque.sign_check import unsigned_findings
-from asbuilt.experiment.quality.torque.signal_checks import filter_findings, saturation_findings
+from asbuilt.experiment.quality.torque.signal_checks import (
+    filter_findings,
+    saturation_findings,
+    spike_findings,
+)
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined, ranked
@@ -262,6 +266,7 @@ def _findings_in_time(
     revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from motion_findings(model, known, motion)
     yield from saturation_findings(model, known, closer)
+    yield from spike_findings(model, known)
     yield from filter_findings(closer.torques, known.rate)
     if motion is not None:
         scale = np.where(revolute & degrees, DEGREE, 1.0)

@@ -12,6 +12,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.running_statistics import Exceedance, Extremes, PositionMoments
 from asbuilt.experiment.recording import Recording, TorqueSource, median_rate, time_span
+from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure
 
 CREDIBLE = {"position": 1e6, "torque": 1e9, "velocity": 1e6, "acceleration": 1e9}
@@ -54,6 +55,8 @@ class FirstPass:
         Extremes of the positions, and of the torques that are not repeated.
     moments
         Moments of the positions.
+    spikes
+        Single torques that stand out from their neighbours.
     outside_limits, saturated
         Positions outside the limits of the model, and torques that reach theirs.
     """
@@ -75,6 +78,7 @@ class FirstPass:
     outside_limits: Exceedance
     torque_range: Extremes
     saturated: Exceedance
+    spikes: tuple[Spikes, ...] = ()
 
     @property
     def n_samples(self) -> int:
@@ -110,7 +114,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     full = FULL_TORQUE * np.array([joint.limits.torque for joint in model.joints])
     positions, torques, moments = Extremes.none(n), Extremes.none(n), PositionMoments.none(n)
     outside, saturated = Exceedance.none(n), Exceedance.none(n)
-    times, flags, missing = [], [], list[Missing]()
+    times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
     first = last = None
     begin = 0
     for logged in chunks:
@@ -127,6 +131,9 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         times.append(np.array(chunk.t))
         flags.append(np.stack([not_repeated, valid_torque, valid]))
         rows = np.arange(begin, begin + chunk.n_samples)
+        if chunk.torque_source != "command":
+            found = find_spikes(tau, not_repeated)
+            spikes += [replace(each, rows=begin + each.rows) for each in found]
         excess = np.maximum(lower - q, q - upper)
         size = np.abs(tau[not_repeated])
         positions, moments = positions.with_more(q), moments.with_more(q)
@@ -155,6 +162,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         outside_limits=outside,
         torque_range=torques,
         saturated=saturated,
+        spikes=tuple(spikes),
     )
 
 

@@ -14,6 +14,7 @@ from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.filter_plan import FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
 from asbuilt.experiment.signal.noise.band_choice import choose_band
+from asbuilt.experiment.signal.noise.spikes import without_spikes
 from asbuilt.experiment.signal.resampling import (
     SHORTEST,
     UniformSegment,
@@ -206,9 +207,12 @@ def stream_samples(
 def _segments(
     recording: Recording, chain: SignalChain, rate: float | None = None
 ) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
-    """Return uniform segments; pauses that the filter does not resolve do not divide them."""
+    """Return uniform segments; pauses that the filter does not resolve do not divide them.
+
+    Single torques that stand out have the mean of their neighbours.
+    """
     resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
-    return uniform_segments(recording, rate or chain.rate, chain.max_gap, resolved)
+    return uniform_segments(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 
 
 def _commanded(recording: Recording) -> bool:

@@ -109,6 +109,11 @@ class BlockEquations:
             for each in self._trials([j for j in inside if j != place], [place], level=1.0)
         )
 
+    def acts(self, column: int) -> bool:
+        """Return whether a column has any length."""
+        c = self.n_own + column
+        return bool(self.grams[:, c, c].sum() > 0.0)
+
     def smallest_seen(self, column: int, share: float) -> float:
         """Return the value at which a column takes away a share of the squared residual.
 

@@ -118,6 +118,21 @@ class LogErrorSearch:
         columns, equations = self._first
         return equations.smallest_seen(columns.candidates.index(Candidate("clock", None)), NAMED)
 
+    def unseen(self, kind: Kind) -> Array:
+        """Return the error of a kind of each joint below which it would not be named, (n,).
+
+        Infinite where other parameters take its place, zero where it changes no torque.
+        """
+        columns, equations = self._first
+        found = np.zeros(self.model.n_joints)
+        for j, each in enumerate(columns.candidates):
+            if each.kind == kind and each.joint is not None and equations.acts(j):
+                size, bounds = equations.smallest_seen(j, NAMED), self._bounds(each)
+                if bounds is not None:
+                    size = max(size, bounds.matters) if size <= bounds.highest else np.inf
+                found[each.joint] = size
+        return found
+
     @cached_property
     def _picked(self) -> tuple[Chosen, ...]:
         return self._selected()

@@ -12,6 +12,7 @@ from asbuilt.dynamics.drives.terms.spring import Spring
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.calibration.mounting import Mounting
+from asbuilt.tables import significant
 from asbuilt.validation.log_errors.error_columns import Kind
 from asbuilt.validation.log_errors.log_error_search import LogError
 from asbuilt.validation.log_errors.log_errors import Sought, sought_errors
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 UNSEEN = 0.05
 """Error of the clock, as a share, that a log should show."""
+ZERO_UNSEEN, LENGTH_UNSEEN, GAIN_UNSEEN = np.deg2rad(2.0), 0.01, 0.1
+"""Errors of a zero position [rad, m] and of a gain, as a share, that a log should show."""
 DEAD = 0.15
 """Part of the model's torque below which a torque channel does not follow the motion."""
 
@@ -51,6 +54,8 @@ def log_error_findings(
         *(_saturated(result, joint, flat) for joint in held),
         *_findings(result, others, springs),
         *_unseen_clock(sought),
+        *_unseen_zeros(result, sought),
+        *_unseen_gains(result, sought),
     )
 
 
@@ -59,7 +64,7 @@ def _unseen_clock(sought: Sought) -> Iterator[Finding]:
     if sought.clock_unseen < UNSEEN or any(each.kind == "clock" for each in sought.errors):
         return
     size = (
-        f"below {100 * sought.clock_unseen:.2g} % would not show"
+        f"below {significant(100 * sought.clock_unseen, 2)} % would not show"
         if np.isfinite(sought.clock_unseen)
         else "of any size would not show"
     )
@@ -69,6 +74,48 @@ def _unseen_clock(sought: Sought) -> Iterator[Finding]:
         f"An error of the clock {size} in this log: other parameters take its place",
         Cure("compare the sampling rate with another clock, or record faster motions as well"),
     )
+
+
+def _unseen_zeros(result: IdentificationResult, sought: Sought) -> Iterator[Finding]:
+    """Say which errors of zero positions the log would not show."""
+    turns = [joint.is_revolute for joint in result.model.joints]
+    rows = [
+        (size, f"{significant(np.rad2deg(size), 2)} deg" if turn else f"{1e3 * size:.0f} mm", joint)
+        for joint, turn, size in zip(result.joint_names, turns, sought.zero_unseen, strict=False)
+        if size > (ZERO_UNSEEN if turn else LENGTH_UNSEEN)
+    ]
+    if rows:
+        yield Finding(
+            "zero_unseen",
+            "info",
+            f"Errors of zero positions would not show in this log {_listed_unseen(rows)}: other"
+            " parameters take their place, or the residual hides them",
+            Cure("calibrate these joints, or record more poses"),
+        )
+
+
+def _unseen_gains(result: IdentificationResult, sought: Sought) -> Iterator[Finding]:
+    """Say which errors of single gains the log would not show."""
+    rows = [
+        (size, f"{significant(100 * size, 2)} %", joint)
+        for joint, size in zip(result.joint_names, sought.gain_unseen, strict=False)
+        if size > GAIN_UNSEEN
+    ]
+    if rows:
+        yield Finding(
+            "gain_unseen",
+            "info",
+            f"Errors of single torque gains would not show in this log {_listed_unseen(rows)}:"
+            " other parameters take their place, or the residual hides them",
+            Cure("a payload of known mass calibrates them (`gains`)"),
+        )
+
+
+def _listed_unseen(rows: Sequence[tuple[float, str, str]]) -> str:
+    """Return sizes and joints as text, those of any size last."""
+    sized = [f"below {text} at {joint}" for size, text, joint in rows if np.isfinite(size)]
+    never = [joint for size, _, joint in rows if not np.isfinite(size)]
+    return joined([*sized, *([f"of any size at {joined(never)}"] if never else [])])
 
 
 def _plateaus(

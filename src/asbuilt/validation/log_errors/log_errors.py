@@ -31,10 +31,14 @@ class Sought:
 
     Errors of the clock below `clock_unseen` (a share of its rate) would explain less of the
     residual than what is named; infinite where other parameters take the place of any clock.
+    `zero_unseen` (n,) [rad or m] and `gain_unseen` (n,), a share, are the same of each joint's zero
+    position and gain, to first order; empty if nothing was searched.
     """
 
     errors: tuple[LogError, ...] = ()
     clock_unseen: float = 0.0
+    zero_unseen: tuple[float, ...] = ()
+    gain_unseen: tuple[float, ...] = ()
 
 
 def log_errors(
@@ -88,7 +92,12 @@ def sought_errors(
         )
         if search.tilt_is_first:
             search = _tilted(search, mounting) or search
-        return Sought(_found(search), search.clock_unseen)
+        return Sought(
+            _found(search),
+            search.clock_unseen,
+            tuple(search.unseen("zero").tolist()),
+            tuple(search.unseen("scale").tolist()),
+        )
     except (AsbuiltError, np.linalg.LinAlgError):
         return Sought()
 

@@ -71,6 +71,26 @@ def saturation_findings(
             )
 
 
+def spike_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+    """Name joints with single torques that stand out from their neighbours: number, size, place."""
+    for joint in sorted({each.joint for each in recording.spikes}):
+        own = [each for each in recording.spikes if each.joint == joint]
+        rows = np.concatenate([each.rows for each in own])
+        sizes = np.concatenate([each.sizes for each in own])
+        worst, robot = int(np.argmax(sizes)), model.joints[joint]
+        unit = "N m" if robot.is_revolute else "N"
+        yield Finding(
+            "torque_spikes",
+            "warning",
+            f"{rows.size} of {recording.n_samples} torques of {robot.name} stand out from the"
+            f" samples beside them, by up to {sizes[worst]:.4g} {unit} at"
+            f" t = {recording.t[rows[worst]]:.6g} s; fits use the mean of these neighbours instead",
+            Cure("find out where single values come from: a hard stop, the bus or the sensor"),
+            joint=robot.name,
+            time=float(recording.t[rows[0]]),
+        )
+
+
 def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     """Find torques (N, n) without the noise floor of a sensor, by the mean of their spectra."""
     long_enough = [tau for tau in torques if len(tau) >= _SHORTEST]
