@@ -21,6 +21,7 @@ from asbuilt.experiment.logs.roles import (
     recognise,
     recognise_by_unit,
     unit_scale,
+    words_of,
 )
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import TorqueSource
@@ -392,7 +393,10 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
             for role in group.roles
         ]
     if all(role.joint for role in group.roles):
-        return [role.joint for role in group.roles]
+        labels = [role.joint for role in group.roles]
+        if listed is not None:
+            _refuse_other_joints(source, quantity, labels, listed)
+        return labels
     _sort_by_number(source, quantity, group)
     if listed is not None:
         if len(listed) != len(group.names):
@@ -405,6 +409,29 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
             )
         return list(listed)
     return [f"joint_{k}" for k in range(1, len(group.names) + 1)]
+
+
+def _refuse_other_joints(
+    source: str, quantity: str, labels: Sequence[str], listed: Sequence[str]
+) -> None:
+    """Raise if columns name their joints, and a sheet lists others or another order."""
+    if list(map(words_of, labels)) == list(map(words_of, listed)):
+        return
+    if sorted(map(words_of, labels)) == sorted(map(words_of, listed)):
+        cure = Cure("leave the list out: columns that name their joints need no order")
+    else:
+        cure = Cure(
+            "give the robot's name of each joint of the log in its place: [joints] with"
+            f' "{labels[0]}" = "..." and so on'
+        )
+    raise RecordingError(
+        f"{source}: the sheet lists the joints {', '.join(listed)}, but the {quantity} columns name"
+        f" theirs, {', '.join(labels)}",
+        cure=cure,
+        file=source,
+        value=list(listed),
+        expected=list(labels),
+    )
 
 
 def _refuse_repeats(source: str, quantity: str, group: _Group) -> None:
