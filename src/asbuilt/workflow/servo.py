@@ -38,6 +38,9 @@ of it is how the robot moves: own choice."""
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
 
+AHEAD = 1e-3
+"""Time [s] by which a torque may precede its command for reasons of sampling: own choice."""
+
 
 def settle_servo(
     model: RobotModel,
@@ -280,6 +283,19 @@ def servo_findings(
             )
         )
     findings += _goal_findings(found)
+    late = found.servo.delay or 0.0
+    if errors.delay and late + 3.0 * errors.delay < -AHEAD:
+        findings.append(
+            Finding(
+                "servo_ahead",
+                "info",
+                f"The torque precedes the command by {_shown(-1e3 * late, 1e3 * errors.delay)} ms,"
+                " which no delay does: positions are logged later than commands, or the servo has"
+                " another law, such as a gain on the rate of its control error. The recordings do"
+                " not tell which; under larger steps of the command these differ",
+                Cure("state the lead and the torque limit, or record steps of the command"),
+            )
+        )
     if errors.deadband:
         width, error = 1e3 * max(found.servo.deadband), 1e3 * errors.deadband
         findings.append(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.layout import find_layout
 from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
 
 FULL = """
@@ -104,3 +105,23 @@ def test_ranges_keep_their_prefix() -> None:
     assert RecordingSheet.model_validate(
         {"columns": {"position": "positions"}}
     ).columns.position == ["positions"]
+
+
+@pytest.mark.parametrize(
+    ("listed", "cure"),
+    [
+        (["elbow", "wrist"], None),
+        (["wrist", "elbow"], "leave the list out"),
+        (["one", "two"], '[joints] with "elbow"'),
+    ],
+)
+def test_a_list_of_joints_is_not_ignored(listed: list[str], cure: str | None) -> None:
+    """Columns that name their joints are neither renamed nor reordered in silence."""
+    names = ["time", "q_elbow", "q_wrist", "tau_elbow", "tau_wrist"]
+    sheet = RecordingSheet(joints=listed)
+    if cure is None:
+        assert find_layout("log", names, sheet=sheet).joint_names == ("elbow", "wrist")
+        return
+    with pytest.raises(RecordingError, match="lists the joints") as raised:
+        find_layout("log", names, sheet=sheet)
+    assert cure in str(raised.value.cure)

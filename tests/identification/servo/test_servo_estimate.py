@@ -255,3 +255,14 @@ def test_magnitudes_beside_commands_give_the_damping_of_the_servo(recording):
         if each.code == "servo_current_explained"
     ]
     assert "pan 3" in told.message or "pan 4" in told.message
+
+
+@pytest.mark.parametrize(("skew", "told"), [(0.0, False), (0.02, True)])
+def test_a_torque_before_its_command_is_no_delay(recording, skew, told):
+    """Positions that were logged late are told from a servo that is late."""
+    t = recording.t
+    moved = np.stack([np.interp(t + skew, t, x) for x in recording.q.T], axis=1)
+    found = estimated(dataclasses.replace(recording, q=moved), unknown(KP))
+    assert found.servo.delay == pytest.approx(DELAY - skew, abs=1.5e-3)
+    findings = servo_findings(read_mjcf(ROBOT), found, DriveSet.parse("viscous"))
+    assert ("servo_ahead" in [each.code for each in findings]) == told
