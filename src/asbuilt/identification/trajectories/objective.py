@@ -18,6 +18,7 @@ from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, 
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.start_elimination import StartModel, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 
 DELAY_SCALE = 1e-3
@@ -58,21 +59,6 @@ class Weights:
 
     joints: Array
     windows: tuple[Array, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StartModel:
-    """Say how the starts of some windows follow the parameters at the minimum.
-
-    Starts of the joints (m,) of a branch, position before velocity, move by `to_best` (w, 2 m)
-    less `by_parameters` (w, 2 m, p) times the change of its parameters.
-    """
-
-    recording: int
-    part: slice
-    branch: Branch
-    to_best: Array
-    by_parameters: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,39 +253,9 @@ class Objective:
         """
         to_z = self._to_parameters(point)
         slopes = self.slopes(point, motions) if slopes is None else slopes
-        H = np.zeros((to_z.shape[0], to_z.shape[0]))
-        scores, starts, gain = [], list[StartModel](), 0.0
-        errors, away = self.errors(motions), self._starts_moved(point)
-        for k, (cut, derivatives, error, of_window) in enumerate(
-            zip(self.windows, slopes, errors, weights.windows, strict=True)
-        ):
-            score = np.zeros((cut.n_windows, to_z.shape[0]))
-            for branch, part, J in derivatives():
-                root = np.sqrt(of_window[part])[:, None, None] * np.sqrt(
-                    weights.joints[branch.joints]
-                )
-                Jw = (J * root[..., None]).reshape(len(J), -1, J.shape[-1])
-                ew = (error[part][..., branch.joints] * root).reshape(len(J), -1)
-                at, p = branch.parameters, len(branch.parameters)
-                stiff = self.start_weights[k][:, branch.joints].ravel()
-                normal = Jw.transpose(0, 2, 1) @ Jw
-                right = np.einsum("wrp,wr->wp", Jw, ew)
-                normal[:, range(p, p + len(stiff)), range(p, p + len(stiff))] += stiff
-                right[:, p:] -= stiff * away[k][part][:, :, branch.joints].reshape(len(J), -1)
-                both = np.concatenate([right[:, p:, None], normal[:, p:, :p]], axis=2)
-                solved = np.linalg.solve(normal[:, p:, p:], both)
-                starts.append(StartModel(k, part, branch, solved[:, :, 0], solved[:, :, 1:]))
-                gain += 0.5 * float(np.sum(right[:, p:] * solved[:, :, 0]))
-                H[np.ix_(at, at)] += np.sum(
-                    normal[:, :p, :p] - normal[:, :p, p:] @ solved[:, :, 1:], axis=0
-                )
-                score[part, at] += right[:, :p] - np.einsum(
-                    "wps,ws->wp", normal[:, :p, p:], solved[:, :, 0]
-                )
-            scores.append(score)
-        every = np.concatenate(scores)
+        H, scores, starts, gain = self._of_windows(point, motions, weights, slopes, len(to_z))
         data = to_z.T @ H @ to_z
-        matrix, gradient = data.copy(), -to_z.T @ every.sum(axis=0)
+        matrix, gradient = data.copy(), -to_z.T @ scores.sum(axis=0)
         rows, rest = self._torque_rows(point)
         A = rows @ to_z
         matrix += A.T @ A
@@ -310,7 +266,41 @@ class Objective:
         gradient += ridge * moved
         matrix[np.diag_indices(len(ridge))] += ridge
         cost = self.cost(point, motions, weights)
-        return Quadratic(cost, gradient, matrix, every @ to_z, data, tuple(starts), gain)
+        return Quadratic(cost, gradient, matrix, scores @ to_z, data, starts, gain)
+
+    def _of_windows(
+        self,
+        point: Point,
+        motions: Sequence[Motion],
+        weights: Weights,
+        slopes: Sequence[Slopes],
+        size: int,
+    ) -> tuple[Array, Array, tuple[StartModel, ...], float]:
+        """Return matrix (size, size) and scores (W, size) of windows, starts, and their gain."""
+        H = np.zeros((size, size))
+        scores, starts, gain = [], list[StartModel](), 0.0
+        errors, away = self.errors(motions), self._starts_moved(point)
+        for k, (cut, derivatives, error, of_window) in enumerate(
+            zip(self.windows, slopes, errors, weights.windows, strict=True)
+        ):
+            score = np.zeros((cut.n_windows, size))
+            for branch, part, J in derivatives():
+                root = np.sqrt(of_window[part])[:, None, None] * np.sqrt(
+                    weights.joints[branch.joints]
+                )
+                own = eliminate_starts(
+                    (J * root[..., None]).reshape(len(J), -1, J.shape[-1]),
+                    (error[part][..., branch.joints] * root).reshape(len(J), -1),
+                    self.start_weights[k][:, branch.joints].ravel(),
+                    away[k][part][:, :, branch.joints].reshape(len(J), -1),
+                )
+                at = branch.parameters
+                H[np.ix_(at, at)] += own.matrix
+                score[part, at] += own.scores
+                starts.append(StartModel(k, part, branch, own.to_best, own.by_parameters))
+                gain += own.gain
+            scores.append(score)
+        return H, np.concatenate(scores), tuple(starts), gain
 
     def starts_after(self, point: Point, quadratic: Quadratic, step: Array) -> tuple[Array, ...]:
         """Return the best starts at coordinates `step` (m,) from a point, by its model."""

@@ -1,0 +1,73 @@
+"""Elimination of the starts of windows from the least squares of their trajectories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.identification.trajectories.sensitivity import Branch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartModel:
+    """Say how the starts of some windows follow the parameters at the minimum.
+
+    Starts of the joints (m,) of a branch, position before velocity, move by `to_best` (w, 2 m)
+    less `by_parameters` (w, 2 m, p) times the change of its parameters.
+    """
+
+    recording: int
+    part: slice
+    branch: Branch
+    to_best: Array
+    by_parameters: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Eliminated:
+    """Hold what w windows say of p parameters, their starts (s numbers each) at their best.
+
+    `matrix` (p, p) is summed over windows, `scores` (w, p) are not. Starts move by `to_best` (w, s)
+    less `by_parameters` (w, s, p) times the change of the parameters; `gain` is by how much the
+    cost falls when they move there alone.
+    """
+
+    matrix: Array
+    scores: Array
+    to_best: Array
+    by_parameters: Array
+    gain: float
+
+
+def eliminate_starts(J: Array, e: Array, stiff: Array, off: Array) -> Eliminated:
+    """Eliminate the starts y from `|e - J (x, y)|^2 + stiff |off + y|^2` (Schur complement).
+
+    Parameters
+    ----------
+    J
+        Weighted derivatives by parameters and then start, (w, r, p + s).
+    e
+        Weighted errors (w, r).
+    stiff
+        Weights of the starts toward the measured ones, (s,).
+    off
+        Starts less the measured ones, (w, s).
+    """
+    s = len(stiff)
+    p = J.shape[2] - s
+    normal = J.transpose(0, 2, 1) @ J
+    right = np.einsum("wrp,wr->wp", J, e)
+    normal[:, range(p, p + s), range(p, p + s)] += stiff
+    right[:, p:] -= stiff * off
+    both = np.concatenate([right[:, p:, None], normal[:, p:, :p]], axis=2)
+    solved = np.linalg.solve(normal[:, p:, p:], both)
+    across, to_best, by_parameters = normal[:, :p, p:], solved[:, :, 0], solved[:, :, 1:]
+    return Eliminated(
+        np.sum(normal[:, :p, :p] - across @ by_parameters, axis=0),
+        right[:, :p] - np.einsum("wps,ws->wp", across, to_best),
+        to_best,
+        by_parameters,
+        0.5 * float(np.sum(right[:, p:] * to_best)),
+    )
