@@ -148,7 +148,8 @@ class WatchedLog:
             f"Thresholds for {rate:g} false alarm{'s' * (rate != 1.0)} per hour"
             f" ({significant(expected, 2)} expected in this log), from"
             f" {duration(3600.0 * thresholds.hours)}"
-            + (" without contact." if thresholds.held_out else " of this log itself."),
+            + (" without contact" if thresholds.held_out else " of this log itself")
+            + ("." if self.rate_verified else ", which do not verify the rate."),
             f"Events: {counts or 'none'}. The largest external torque is {significant(ratio, 2)}"
             f" times its threshold ({joint}, {time:.2f} s).",
             f"A step of force at {self.frame} of {significant(self.smallest_force, 2)} N is seen"
