@@ -42,5 +42,5 @@ def test_a_finger_in_metres_moves_beside_joints_in_radians_and_noise_does_not():
     qd = np.gradient(q, t, axis=0)
     fast, finger, held = standstill_speeds([(q, qd)], 7.0)
     assert fast == pytest.approx(0.006, rel=0.02)
-    assert finger == pytest.approx(0.03 * 0.02, rel=0.02)
+    assert finger == pytest.approx(0.006 * 0.02, rel=0.02)
     assert held == pytest.approx(0.003, rel=0.02)

@@ -13,7 +13,7 @@ SLOW = 0.003
 """Share of a joint's top speed below which it may be at rest."""
 SLOWEST = 0.0015
 """Share of the fastest joint's top speed below which any joint may be at rest, but for `MOVING`."""
-MOVING = 0.03
+MOVING = 0.006
 """Share of its own top speed beyond which a joint moves, however slow beside others: a finger in
 m/s beside joints in rad/s."""
 SWEPT = 10.0
