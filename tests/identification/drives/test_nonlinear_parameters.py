@@ -254,7 +254,7 @@ def test_friction_that_drives_is_not_believed(seed):
     assert any("are not positive" in (addition.objection or "") for addition in choice.additions)
 
 
-@pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e"])
+@pytest.mark.parametrize("robot", ["ur10e"])
 def test_friction_under_load_is_found_on_whole_arms(robot):
     model = bundled_robot(robot)
     truth = DriveSet.parse("viscous,coulomb,load_friction,offset")

@@ -117,12 +117,12 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
 
 @pytest.mark.parametrize(("robot", "method"), [("scara", "wls"), ("two-link", "huber")])
 def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, method: str) -> None:
-    """Twenty recordings that differ in their noise alone.
+    """Twelve recordings that differ in their noise alone.
 
     Without what the exponent leaves open, Coulomb friction would lie two errors off as a rule.
     """
     n, sigmas, alone = bundled_robot(robot).n_joints, [], []
-    for seed in range(20):
+    for seed in range(12):
         samples = samples_of(robot, "power", noise=0.4, seed=seed)
         result = fitted(robot, samples, "power", method)
         stated = identify_samples(result.model, samples, base=result.base, method=method)
