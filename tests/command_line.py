@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,22 @@ EXTRA = {
     "validate": {"rollout", "verdict"},
 }
 """Fields that some options of a command add."""
+
+
+CALLS = """
+import contextlib, io, json, sys
+from asbuilt.cli.app import main
+printed = []
+for line in sys.argv[1:]:
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        try:
+            main(line.split())
+        except SystemExit as end:
+            if end.code:
+                sys.exit(end.code)
+    printed.append(out.getvalue())
+print(json.dumps(printed))
+"""
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
@@ -44,6 +63,23 @@ def document(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str
     status, out, err = call(capsys, *arguments, "--json")
     assert status == 0, err
     return json.loads(out)
+
+
+def call_elsewhere(folder: Path, site: Path, *lines: str) -> list[str]:
+    """Run commands that must succeed, in one new process that also has the distributions of `site`.
+
+    Returns what each printed on stdout.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", CALLS, *lines],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{lines}\n{done.stdout}{done.stderr}"
+    return list(json.loads(done.stdout))
 
 
 @cache

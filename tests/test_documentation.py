@@ -102,7 +102,7 @@ def test_python_blocks_use_existing_names(page: str, block: str) -> None:
 def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return what the pages use: a robot and its file, recordings and their files, results."""
     folder = tmp_path_factory.mktemp("pages")
-    model = asbuilt.load_robot("kuka-iiwa7-r800")
+    model = asbuilt.load_robot("ur10e")
     write_urdf(folder / "arm.urdf", model)
     robot = VirtualRobot.typical(model, rng=1)
     recordings = [

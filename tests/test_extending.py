@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import polars as pl
 import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.writers.recording_files import write_recording
+from command_line import call_elsewhere
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "design" / "extending.md"
 RECIPES = dict(
@@ -30,6 +33,10 @@ GROUPS = {
 }
 
 
+NAMES = ("halved", "ols")
+"""Estimators, the first from outside."""
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a distribution that has every recipe."""
@@ -44,19 +51,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(site: Path, folder: Path, line: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "asbuilt.cli.app", *line.split()],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path])},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-    return done.stdout
-
-
 def test_there_is_a_recipe_for_every_registry() -> None:
     assert set(RECIPES) == set(GROUPS.values())
     text = PAGE.read_text()
@@ -68,35 +62,37 @@ def test_there_is_a_recipe_for_every_registry() -> None:
 
 
 def test_term_and_description_format(site: Path, tmp_path: Path) -> None:
-    listed = json.loads(run(site, tmp_path, "drives --json"))["drives"]
-    assert "saturated" in {each["key"] for each in listed}
     (tmp_path / "arm.chain").write_text('{"name": "heavy", "scale": 2.0}')
-    assert json.loads(run(site, tmp_path, "show arm.chain --json"))["robot"] == "heavy"
+    drives, shown = call_elsewhere(tmp_path, site, "drives --json", "show arm.chain --json")
+    assert "saturated" in {each["key"] for each in json.loads(drives)["drives"]}
+    assert json.loads(shown)["robot"] == "heavy"
 
 
 @pytest.mark.slow
 def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
-    simulate = "simulate two-link --engine inverse-dynamics --duration 6 --rate 100 --out log.csv"
-    run(site, tmp_path, simulate)
+    motion = random_fourier(bundled_robot("two-link"), 1, duration=6.0)
+    log = simulate_recording(bundled_robot("two-link"), motion, rate=100.0)
+    write_recording(tmp_path / "log.csv", log)
     rows = pl.read_csv(tmp_path / "log.csv").to_dicts()
     (tmp_path / "log.jsonl").write_text("\n".join(json.dumps(row) for row in rows))
-    found = {
-        name: json.loads(
-            run(site, tmp_path, f"identify two-link log.jsonl --method {name} --json --out {name}")
-        )
-        for name in ("halved", "ols")
-    }
+    *studies, _ = call_elsewhere(
+        tmp_path,
+        site,
+        *(f"identify two-link log.jsonl --method {name} --json --out {name}" for name in NAMES),
+        "export ols/result.json --nearest --to gains=gains.txt",
+    )
+    found = dict(zip(NAMES, map(json.loads, studies), strict=True))
     half, whole = ([p["estimate"] for p in found[name]["parameters"]] for name in found)
     assert [2 * value for value in half] == pytest.approx(whole)
     assert "<h2>From outside</h2>" in (tmp_path / "ols" / "report.html").read_text()
-    run(site, tmp_path, "export ols/result.json --nearest --to gains=gains.txt")
     assert (tmp_path / "gains.txt").read_text().startswith("two-link: 2 joints")
 
 
 @pytest.mark.slow
 def test_motions_and_program(site: Path, tmp_path: Path) -> None:
     line = "excite two-link --parametrisation mirrored --harmonics 5 --duration 6 --starts 1"
-    found = json.loads(run(site, tmp_path, f"{line} --program json --no-report --json"))
+    (printed,) = call_elsewhere(tmp_path, site, f"{line} --program json --no-report --json")
+    found = json.loads(printed)
     assert found["parametrisation"] == "mirrored"
     points = json.loads((tmp_path / found["files"]["json_program"]).read_text())
     assert points[0] == pytest.approx(points[-1])

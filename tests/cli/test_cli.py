@@ -395,6 +395,8 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
         tmp_path / "bare.csv",
         "--payload",
         tmp_path / "loaded.csv",
+        "--method",
+        "wls",
         "--out",
         tmp_path,
     )
@@ -412,6 +414,8 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
         tmp_path / "bare.csv",
         "--payload",
         tmp_path / "loaded.csv",
+        "--method",
+        "wls",
         "--holdout",
         "last:0.3",
     )

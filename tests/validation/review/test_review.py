@@ -57,8 +57,8 @@ def recorded(limit):
     model.actuator_forcerange[:] = [-limit, limit]
     model.geom_contype[:] = 0
     model.dof_solref[:], model.dof_solimp[:] = [0.004, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
-    data, per, n = mujoco.MjData(model), round(1.0 / RATE / STEP), 4000
-    rng, t = np.random.default_rng(3), np.arange(4000) / RATE
+    data, per, n = mujoco.MjData(model), round(1.0 / RATE / STEP), 2400
+    rng, t = np.random.default_rng(3), np.arange(2400) / RATE
     waves = [
         (rng.uniform(0.1, 0.5) / f, 2.0 * np.pi * f, rng.uniform(0, 6.28))
         for _ in range(3)

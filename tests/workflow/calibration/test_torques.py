@@ -153,7 +153,7 @@ def test_stiffness_of_servos_from_a_payload(tmp_path: Path) -> None:
     for seed in (1, 2):
         robot = VirtualRobot.preset("servo", model, rng=7)
         robot = robot.with_tool(body) if seed == 2 else robot
-        motion = random_fourier(model, rng=seed, duration=40.0)
+        motion = random_fourier(model, rng=seed, duration=24.0)
         logged = robot.record(motion, rate=200.0, rng=seed).recording
         unknown = PositionServo(kp=(np.nan,) * 5, kd=(np.nan,) * 5)
         logs.append(driven_by_command(replace(logged, servo=None), unknown))

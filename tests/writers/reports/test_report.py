@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,6 +18,7 @@ from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.report import report_html, write_report
 from asbuilt.writers.reports.report_verdict import verdict
 from asbuilt.writers.reports.sections.parameters import interval_drawing
+from command_line import call_elsewhere
 
 sys.path.append(str(Path(__file__).parents[2] / "validation"))
 from virtual_causes import identified
@@ -167,13 +166,8 @@ def test_a_section_of_another_distribution_is_in_the_page(tmp_path: Path) -> Non
     (site / "outside-1.0.dist-info" / "entry_points.txt").write_text(
         "[asbuilt.report_sections]\noutside = outside_section\n"
     )
-    run = "from asbuilt.cli.app import main; import sys; main(sys.argv[1:])"
-    environment = os.environ | {"PYTHONPATH": str(site)}
     recorded = "simulate two-link --engine inverse-dynamics --duration 6 --rate 100 --out log.csv"
-    for words in (recorded, "identify two-link log.csv --method wls --out study"):
-        subprocess.run(
-            [sys.executable, "-c", run, *words.split()], check=True, cwd=tmp_path, env=environment
-        )
+    call_elsewhere(tmp_path, site, recorded, "identify two-link log.csv --method wls --out study")
     page = (tmp_path / "study" / "report.html").read_text(encoding="utf-8")
     assert "<h2>From outside</h2>" in page
     assert "two-link: &lt;b&gt;escaped&lt;/b&gt;" in page
