@@ -219,6 +219,8 @@ class RobotModel:
 
         Fingers are links of different branches that one drive moves.
 
+        Examples
+        --------
         >>> from asbuilt.description.catalogue import bundled_robot
         >>> bundled_robot("puma-560").tool_link
         5
