@@ -96,6 +96,7 @@ def test_a_right_log_has_no_errors(name: str) -> None:
         ("franka-panda", 2.0),
         ("kuka-iiwa7-r800", 0.9),
         ("kuka-iiwa7-r800", 10.0),
+        ("ur10e", 2.5),
     ],
 )
 def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:

@@ -159,6 +159,18 @@ def test_a_value_that_no_robot_has_contradicts_nothing(recording, tmp_path_facto
     assert "another effect" in claim.note
 
 
+def test_a_centre_beyond_the_robot_contradicts_nothing(recording, tmp_path_factory):
+    """A forearm claimed to weigh a gram would have its centre some metres out."""
+    file = tmp_path_factory.mktemp("light") / "arm.xml"
+    file.write_text(ROBOT.format(**TRUTH).replace('mass="0.3"', 'mass="0.001"'))
+    found = review(read_mjcf(file), driven(recording, 15.0, 0.2))
+    centre = found.of("centre x", "elbow")
+    assert centre.estimate > 2.0
+    assert (centre.verdict, centre.p_value) == ("undetermined", None)
+    assert "another effect" in centre.note
+    assert found.of("mass", "elbow").verdict == "contradicted"
+
+
 def test_a_value_just_below_zero_is_judged_at_zero(recording, tmp_path_factory):
     model = described(tmp_path_factory)
     motion = random_fourier(model, 3, duration=20.0, n_harmonics=12)

@@ -43,10 +43,11 @@ BOUNDS: dict[Kind, Bounds] = {
     "spring": Bounds(0.0, np.inf, 0.02),
 }
 """Own choices: what a robot in use can have; `drift` and `spring` in largest torques of a joint."""
-CLOCK_FACTORS = (0.1, 0.5, 2.0, 10.0)
-"""Factors by which clocks are wrong beyond these bounds: another unit, or every other sample."""
-ABOUT = 1.2
-"""Factor within which a clock is off by about one of them."""
+CLOCK_FACTORS = (0.1, 0.125, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0)
+"""Factors by which clocks are wrong beyond these bounds: ratios of usual rates (1000, 500, 400,
+250, 200, 125, 100 Hz), samples left out, another unit."""
+ABOUT = 1.06
+"""Factor within which a clock is off by one of them; errors of single gains imitate others."""
 IN_TORQUES = ("drift", "spring")
 NAMED = 0.05
 """Share of the squared residual from which on an error is named."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.findings import Finding
@@ -159,10 +160,11 @@ def review_result(
         for joint, k in zip(model.moving_joints, model.link_joints, strict=True)
     }
     relative = [scale[result.joint_names.index(drives[number.joint])] for number in numbers]
+    reach = stretched_length(model)
     profile = profile.with_scale(np.nan_to_num(whole), np.array(relative))
     freedom = mean_degrees(values.degrees_of_freedom[rows])
     claims = [
-        _claim(result, numbers, profile, j, freedom, whole[j])
+        _claim(result, numbers, profile, j, freedom, whole[j], reach)
         for j, number in enumerate(numbers)
         if np.isfinite(number.claimed) and number.joint not in model.locked_joints
     ]
@@ -187,10 +189,12 @@ def _claim(
     j: int,
     freedom: float,
     whole: float,
+    reach: float,
 ) -> Claim:
     """Return what is said of number j, not yet judged beside the others.
 
-    `whole` is the claim with that of a servo which acts alike.
+    `whole` is the claim with that of a servo which acts alike, `reach` the length of the robot,
+    beyond which no link has its centre [m].
     """
     number, change, error = numbers[j], float(profile.change[j]), float(profile.std_error[j])
     known = bool(np.isfinite(change) and np.isfinite(error))
@@ -207,7 +211,8 @@ def _claim(
     if not known:
         return claim
     possible = max(change, -whole) if number.what in NOT_NEGATIVE else change
-    if possible - change > IMPOSSIBLE * error:
+    beyond = number.what.startswith("centre") and abs(whole + change) > reach
+    if beyond or possible - change > IMPOSSIBLE * error:
         return replace(claim, verdict="undetermined", note="impossible: another effect acts here")
     p = float(student_probability(np.array([possible / error]), np.array([freedom]))[0])
     return replace(
