@@ -5,13 +5,17 @@ BIN    := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-lowest fuzz quick check bench docs format wheel clean
+.PHONY: demo test studies test-lowest fuzz quick check bench docs format wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/asbuilt demo --out out/demo
 
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not study"
+
+# Tests that take seconds each: statistics of many studies, whole recordings of real robots, examples.
+studies: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -n auto --dist worksteal -m study
 
 QUICK := tests/test_architecture.py tests/test_tables.py tests/test_errors.py tests/description \
 	tests/dynamics tests/excitation/motions tests/experiment/logs tests/experiment/signal \
@@ -19,7 +23,7 @@ QUICK := tests/test_architecture.py tests/test_tables.py tests/test_errors.py te
 
 # Tests of the foundations, under a minute.
 quick: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -n auto -m "not slow" $(QUICK)
+	$(BIN)/python -m pytest -n auto -m "not slow and not study" $(QUICK)
 
 check: $(VENV)/.installed-check
 	$(BIN)/ruff check .

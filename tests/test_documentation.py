@@ -119,7 +119,8 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     write_recording(folder / "timed.csv", recordings[0])
     pl.read_csv(folder / "timed.csv").drop("t").write_csv(folder / "log.csv")
     samples, other = (asbuilt.prepare_samples(each) for each in recordings)
-    options = asbuilt.StudyOptions(drive=asbuilt.DriveSet.parse("viscous,coulomb,offset"))
+    drive = asbuilt.DriveSet.parse("viscous,coulomb,offset")
+    options = asbuilt.StudyOptions(drive=drive, method="wls")
     studies = [asbuilt.identify(model, [each], options=options) for each in recordings]
     return {
         "folder": folder,

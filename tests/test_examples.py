@@ -26,6 +26,7 @@ def test_example_uses_public_names_and_asserts(example: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.study
 def test_example_runs(
     example: Path,
     tmp_path: Path,

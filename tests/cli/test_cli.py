@@ -19,7 +19,7 @@ import pytest
 from asbuilt.cli.app import main
 from command_line import call, document, documented_fields
 
-ROBOTS = ("ur10e", "scara", "two-link")
+ROBOTS = ("scara", "two-link")
 
 
 def refuse_constant(name: str) -> float:
@@ -230,7 +230,7 @@ def test_identify_writes_everything_and_validates(
     assert all(Path(path).stat().st_size > 0 for path in written["files"].values())
 
 
-@pytest.mark.parametrize("kind", ["bootstrap", "textbook"])
+@pytest.mark.parametrize("kind", ["bootstrap"])
 def test_every_output_says_how_errors_were_judged(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path, kind: str
 ) -> None:
@@ -521,7 +521,7 @@ def test_view_saves_pages_and_pictures_and_results_run_forward(
     recorded: dict[str, Path],
     studied: Callable[[str], dict[str, Any]],
 ) -> None:
-    log, result = recorded["ur10e train"], studied("ur10e")["files"]["result"]
+    log, result = recorded["scara train"], studied("scara")["files"]["result"]
     freed = document(
         capsys,
         "simulate",

@@ -20,7 +20,7 @@ from asbuilt.writers.models.robot_toml import robot_toml
 from command_line import call, document
 
 DRIVE = DriveSet.parse("viscous,coulomb,load_friction,offset")
-ROBOTS = ("ur10e", "scara")
+ROBOTS = ("two-link", "scara")
 
 
 def log(path: Path, robot: str, torque, *, seed: int = 2) -> Path:
@@ -232,6 +232,7 @@ def coupled(
     return path, n
 
 
+@pytest.mark.study
 def test_a_coupled_wrist_from_file_to_result(capsys, tmp_path, coupled):
     robot, n = coupled
     lab = tmp_path / "log.csv"

@@ -145,6 +145,7 @@ def test_a_payload_is_weighed_whatever_the_checks_say(
         assert weighed["mass"]["estimate"] == pytest.approx(MASS, rel=0.02)
 
 
+@pytest.mark.study
 def test_the_payload_found_along_with_the_arm_is_among_the_files(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, logs: tuple[Path, Path, Path]
 ) -> None:

@@ -266,6 +266,7 @@ def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(
     )
 
 
+@pytest.mark.study
 def test_a_motion_that_nobody_kept_from_hitting_itself_says_so(capsys, tmp_path: Path) -> None:
     file, base = (
         tmp_path / "motion.csv",

@@ -87,7 +87,7 @@ def test_an_animation_needs_a_rollout(
     assert "--animation" in err
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_arms_of_a_humanoid_roll_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Fourteen joints on one torso, whose stiffness is stated by the sheet of the log."""
     log = tmp_path / "log.csv"
@@ -195,6 +195,7 @@ def test_the_exported_mjcf_moves_as_the_rollout(
     ("columns", "gains", "worst"),
     [("20-25", [14.87, 13.26, 11.13, 10.62, 11.03, 11.47], 8e-3), ("26-31", None, 6e-4)],
 )
+@pytest.mark.study
 def test_commanded_currents_and_torques_of_a_ur10e_roll_out(
     columns: str,
     gains: list[float] | None,

@@ -20,6 +20,7 @@ PROGRAM = Path(bounds.__file__)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 @pytest.mark.parametrize("groups", bounds.TOGETHER, ids="-".join)
+@pytest.mark.study
 def test_refused_within_500_megabytes(groups: tuple[str, ...]) -> None:
     """All cases of some groups run in one process, whose peak bounds that of each."""
     done = subprocess.run(

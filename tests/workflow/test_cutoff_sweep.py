@@ -82,6 +82,7 @@ def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
     assert any(study.cutoffs.why in note for note in study.result.notes)
 
 
+@pytest.mark.study
 def test_cutoffs_tried_are_apart(recording: Recording) -> None:
     """Else two would be written over each other in the figure.
 

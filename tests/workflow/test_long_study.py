@@ -45,6 +45,7 @@ def log(model, tmp_path_factory):
     )
 
 
+@pytest.mark.study
 def test_study_of_a_stream_is_that_of_the_whole(model, log):
     whole = read_recording(log, model=model)
     chain = resolve_chain(SignalChain(), whole)
@@ -73,6 +74,7 @@ def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
     assert answer["validation"][0]["relative_error"] < 0.1
 
 
+@pytest.mark.study
 def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch, capsys, tmp_path):
     """The same verdict within what choosing the filters by the beginning alone makes.
 

@@ -135,6 +135,7 @@ def recorded_rms(study: Study) -> list[np.ndarray]:
     return [validation.metrics_recorded.rms for validation in study.validations]
 
 
+@pytest.mark.study
 def test_med7_beats_the_manufacturers_model(shared: Path) -> None:
     """Its own controller predicts these held-out blocks to 0.72 1.01 0.43 0.78 0.26 0.22 0.27 N m
     (tau - tau_ext of the file).
@@ -167,6 +168,7 @@ def test_med7_with_flipped_torque_is_refused(shared: Path) -> None:
     assert refused.value.cure.settings == {"flip_torque": True}
 
 
+@pytest.mark.study
 def test_short_med7_recording_is_said_not_to_generalise(shared: Path) -> None:
     study = study_of(
         shared,
@@ -179,6 +181,7 @@ def test_short_med7_recording_is_said_not_to_generalise(shared: Path) -> None:
     assert "does_not_generalise" in {warning.code for warning in study.findings}
 
 
+@pytest.mark.study
 def test_lwr4_beats_plain_least_squares(shared: Path) -> None:
     study = study_of(
         shared,
@@ -215,6 +218,7 @@ def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("roll", "said"), [(0.0, False), (0.02, True)])
+@pytest.mark.study
 def test_a_robot_that_stands_askew_is_suspected(roll: float, said: bool) -> None:
     model, drive = load_robot("kuka-iiwa7-r800"), DriveSet.parse("viscous,coulomb,offset")
     robot = (
@@ -229,6 +233,7 @@ def test_a_robot_that_stands_askew_is_suspected(roll: float, said: bool) -> None
     assert ("base_tilt" in {warning.code for warning in study.findings}) is said
 
 
+@pytest.mark.study
 def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
     model, drive, tilt = (
         load_robot("kuka-iiwa7-r800"),

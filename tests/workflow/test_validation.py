@@ -134,6 +134,7 @@ def test_a_robot_as_described_is_validated_too(slow: Recording, slow_study: Stud
     assert metrics.relative_error > slow_study.result.train.relative_error
 
 
+@pytest.mark.study
 def test_the_real_arm_of_two_bandwidths(
     shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

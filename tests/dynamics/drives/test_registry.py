@@ -101,6 +101,7 @@ def test_a_format_from_outside_is_read(site: Path, tmp_path: Path) -> None:
     assert said["model"]["links"][0]["inertia"][9] == pytest.approx(expected)
 
 
+@pytest.mark.study
 def test_a_drive_term_from_outside_is_listed_and_has_base_parameters(site: Path) -> None:
     listed = {each["key"]: each for each in json.loads(run(site, "drives", "--json"))["drives"]}
     assert listed["saturated"]["formula"] == "Fa atan(qd / knee)"

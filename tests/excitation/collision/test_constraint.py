@@ -135,6 +135,7 @@ def test_pairs_that_touch_by_construction_or_permission_are_left_out(guard) -> N
     )
 
 
+@pytest.mark.study
 def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
     cell = tmp_path / "cell.toml"
     cell.write_text(
@@ -151,6 +152,7 @@ def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
         assert re.search(r"NOT CHECKED, they touch in nearly every pose: .*link_\d - crate", text)
 
 
+@pytest.mark.study
 def test_a_design_keeps_clear_and_in_the_box(guard) -> None:
     model, watch = guard
     box = ToolBox(model, np.array([-0.7, -0.7, 0.0]), np.array([0.7, 0.7, 1.2]))

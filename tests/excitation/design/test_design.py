@@ -111,6 +111,7 @@ def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm, alone) 
     assert not np.array_equal(other.motion.coefficients, design.motion.coefficients)
 
 
+@pytest.mark.study
 def test_a_cluster_finds_the_same_motion(arm, alone) -> None:
     distributed = pytest.importorskip("distributed")
     model, options = arm[0], alone.options
@@ -190,6 +191,7 @@ def test_criteria_win_at_their_own_game(arm) -> None:
     assert even.scaled_condition_number < design.scaled_condition_number * 1.05
 
 
+@pytest.mark.study
 def test_power_and_other_robots_tighten_a_design(arm) -> None:
     model, design = arm
     t = np.linspace(0, 8, 4001)
@@ -244,6 +246,7 @@ def test_senseless_options_are_refused(field: str, value) -> None:
         DesignOptions(**{field: value})
 
 
+@pytest.mark.study
 def test_a_wanted_precision_finds_its_duration(arm) -> None:
     model, design = arm
     reached = design.precision
@@ -324,6 +327,7 @@ def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) ->
     assert design.limits.is_respected
 
 
+@pytest.mark.study
 def test_a_new_population_begins_where_one_brings_nothing_more(arm, alone) -> None:
     """Searches are numbered through all populations, and the best of all is kept."""
     model, design = arm

@@ -88,6 +88,7 @@ def test_short_tours_of_few_places_are_the_shortest() -> None:
         assert sum(apart[i, j] for i, j in itertools.pairwise(tour)) < 1.1 * best
 
 
+@pytest.mark.study
 def test_standing_poses_are_reached_clear_of_bodies_and_within_the_box() -> None:
     model = load_robot("franka-panda")
     box = (-1.2, 1.2, -1.2, 1.2, 0.05, 1.6)

@@ -97,7 +97,7 @@ def test_the_weight_is_gravity_by_pinocchio() -> None:
     assert WeightLimit((model,), 0.1 * limit).binds(q)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_poses_are_designed_for_a_robot_that_hardly_carries_itself() -> None:
     model = weakened("ur10e", 0.3)
     options = DesignOptions(

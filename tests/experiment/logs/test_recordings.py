@@ -118,7 +118,7 @@ FORMATS.register("json lines", LogFormat(suffixes=(".jsonl",), read=read_lines))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_format_of_another_distribution_is_checked_from_the_command_line(tmp_path: Path) -> None:
     site = tmp_path / "site"
     about = site / "json_lines-1.0.dist-info"

@@ -177,6 +177,7 @@ def test_statistics_do_not_depend_on_where_chunks_end(iiwa: RobotModel, clean: R
         ]
 
 
+@pytest.mark.study
 def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_path: Path) -> None:
     """Only times and flags grow with the length.
 

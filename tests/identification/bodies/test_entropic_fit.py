@@ -99,6 +99,7 @@ def test_many_problems_side_by_side_are_solved_as_each_alone(trial):
 
 @pytest.mark.parametrize("robot", ["two-link", "scara"])
 @pytest.mark.parametrize("weight", [1.0, 30.0])
+@pytest.mark.study
 def test_same_minimum_as_a_descent_in_log_cholesky_coordinates(trial, robot, weight):
     """Rucker & Wensing (2022).
 

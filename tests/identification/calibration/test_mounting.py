@@ -103,6 +103,7 @@ def test_gravity_and_samples_are_needed(trial):
         find_mounting(case.model, [])
 
 
+@pytest.mark.study
 def test_a_real_arm_stood_askew_and_knowing_it_halves_its_errors(shared):
     """Med 7: turned by 1.7 deg. Plain least squares.
 

@@ -255,6 +255,7 @@ def test_friction_that_drives_is_not_believed(seed):
 
 
 @pytest.mark.parametrize("robot", ["ur10e"])
+@pytest.mark.study
 def test_friction_under_load_is_found_on_whole_arms(robot):
     model = bundled_robot(robot)
     truth = DriveSet.parse("viscous,coulomb,load_friction,offset")
@@ -321,6 +322,7 @@ def test_parameters_at_the_motor():
         )
 
 
+@pytest.mark.study
 def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):
     sheet = tmp_path / "sheet.toml"
     sheet.write_text(

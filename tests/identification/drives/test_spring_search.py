@@ -111,6 +111,7 @@ def test_two_recordings_of_a_real_arm_tell_of_the_same_spring(shared) -> None:
     assert found[0].stiffness == pytest.approx(found[1].stiffness, rel=0.2)
 
 
+@pytest.mark.study
 def test_a_study_says_what_a_spring_would_explain(shared) -> None:
     model = load_robot(shared / "models/kuka_lwr4.urdf")
     recordings = [

@@ -110,6 +110,7 @@ def test_no_robots_are_refused(result: IdentificationResult) -> None:
         draw_ensemble(result, 0)
 
 
+@pytest.mark.study
 def test_few_time_blocks_give_students_distribution(result: IdentificationResult) -> None:
     """Quantiles of the draws against those of Student's distribution, by SciPy."""
     p, freedom = result.base.n_base, 6.0
@@ -117,8 +118,8 @@ def test_few_time_blocks_give_students_distribution(result: IdentificationResult
     scatter = BlockScatter(moves, np.full(p, freedom), 0.0)
     nu = mean_degrees(scatter.degrees_of_freedom)
     assert 4.0 < nu < 7.0
-    drawn = draw_ensemble(replace(result, scatter=scatter), 2000, rng=1)
-    free = draw_ensemble(result, 2000, rng=1)
+    drawn = draw_ensemble(replace(result, scatter=scatter), 4000, rng=1)
+    free = draw_ensemble(result, 4000, rng=1)
     errors = result.std_errors / widening(np.array([nu]))
     sigmas, normal = (
         (each.parameters @ result.base.regrouping.T - result.estimates) / errors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.signal import fftconvolve, lfilter
 
 from asbuilt.arrays import Array
@@ -87,6 +88,7 @@ def test_an_error_of_the_model_is_no_smaller_after_a_second_recording() -> None:
     assert 0.85 < float(np.median(twice / once)) < 1.2
 
 
+@pytest.mark.study
 def test_intervals_of_a_repeated_motion_keep_their_level_and_have_less_variance() -> None:
     held, ratio = [], []
     for seed in range(25):

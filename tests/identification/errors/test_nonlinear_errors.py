@@ -116,6 +116,7 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
 
 
 @pytest.mark.parametrize(("robot", "method"), [("scara", "wls"), ("two-link", "huber")])
+@pytest.mark.study
 def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, method: str) -> None:
     """Twelve recordings that differ in their noise alone.
 

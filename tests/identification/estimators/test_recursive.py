@@ -47,6 +47,7 @@ def test_forgetting_is_a_weight_that_decays(robot):
     assert answer.n_effective == pytest.approx((1 - 0.99 ** len(samples.t)) / 0.01)
 
 
+@pytest.mark.study
 def test_load_that_is_picked_up_is_followed(robot):
     model, base, beta = robot
     tool = LinkInertia.from_com(1.5, [0.05, 0.0, 0.1], np.diag([0.01, 0.01, 0.005]))

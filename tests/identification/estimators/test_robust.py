@@ -106,6 +106,7 @@ def test_robust_standard_errors_are_those_of_repeated_experiments(robot):
     assert 0.85 < np.median(ratio) < 1.15
 
 
+@pytest.mark.study
 def test_they_still_are_where_outliers_sit_where_joints_turn_back(robot):
     model, base, beta = robot
     found, stated = [], []

@@ -255,7 +255,7 @@ def test_residual_energy_and_stack_follow_their_definition(robot):
     assert np.allclose(information.torque_sum.sum(axis=0), samples.tau.sum(axis=0))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_long_stream_keeps_a_bounded_number_of_blocks_and_all_the_information(robot):
     model, base = robot
     pieces = [recording(model, 250, seed=s) for s in range(40)]

@@ -66,6 +66,7 @@ def test_both_engines_agree(windows: Windows) -> None:
     np.testing.assert_allclose(other, own, atol=3e-3 * moved)
 
 
+@pytest.mark.study
 def test_derivatives_by_all_parameters_are_those_of_differences(windows: Windows) -> None:
     model = palletizer()
     robot = SimulatedRobot(model, DRIVE, np.tile(VALUES, (5, 1)))

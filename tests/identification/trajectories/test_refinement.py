@@ -82,6 +82,7 @@ def test_the_result_says_that_it_was_refined(refined: RefinedFit) -> None:
     assert any("Refined by trajectories" in line for line in refined.fit.provenance)
 
 
+@pytest.mark.study
 def test_an_unknown_stiffness_keeps_to_its_error_by_torques(study: tuple[Fit, Windows]) -> None:
     fit, windows = study
     high = replace(SERVO, kp=tuple(1.2 * kp for kp in SERVO.kp), delay=0.0)

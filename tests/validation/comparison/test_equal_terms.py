@@ -67,6 +67,7 @@ def alarmed(drift: Drift) -> list[str]:
     return [joint.joint for joint in drift.joints if joint.holm <= drift.level]
 
 
+@pytest.mark.study
 def test_a_robot_that_did_not_change_is_not_said_to_have_because_the_estimators_differ() -> None:
     results = identified(0), identified(1, method="wls")
     assert results[0].method != results[1].method
@@ -94,6 +95,7 @@ def test_a_robot_that_did_not_change_is_not_said_to_have_because_the_estimators_
     )
 
 
+@pytest.mark.study
 def test_wear_of_a_third_is_found_at_its_joint() -> None:
     drift = compare_results(identified(0), identified(1, "wear", "auto"))
     changed = {change.name for change in drift.parameters if change.changed}
@@ -101,6 +103,7 @@ def test_wear_of_a_third_is_found_at_its_joint() -> None:
     assert ROBOT.joint_names[WORN] in alarmed(drift)
 
 
+@pytest.mark.study
 def test_half_a_kilogram_at_the_flange_is_found() -> None:
     drift = compare_results(identified(0), identified(1, "load", "auto"))
     assert drift.n_changed > 0

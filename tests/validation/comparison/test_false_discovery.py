@@ -26,6 +26,7 @@ def study_of_a_robot_as_designed(name: str, seed: int) -> Study:
 
 
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "scara"])
+@pytest.mark.study
 def test_few_parameters_differ_and_none_matters(name: str) -> None:
     studies = [study_of_a_robot_as_designed(name, seed) for seed in range(2)]
     found = [study.comparison for study in studies]

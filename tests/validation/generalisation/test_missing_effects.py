@@ -54,6 +54,7 @@ def test_unmodelled_stribeck_friction_is_named_with_its_cure() -> None:
 
 
 @pytest.mark.parametrize("amount", [0.0, 0.5])
+@pytest.mark.study
 def test_a_right_model_lacks_nothing(amount: float) -> None:
     drive = RICHER if amount else FITTED
     named = [

@@ -69,6 +69,7 @@ def test_a_study_says_which_recording_is_no_other_motion() -> None:
     assert "repeats the training motion" in said[0]
 
 
+@pytest.mark.study
 def test_two_recordings_of_a_real_arm_are_one_motion_and_its_spring_may_be_at_five_joints(
     shared: Path,
 ) -> None:

@@ -130,6 +130,7 @@ def test_a_wrong_gain_is_measured(name: str, joint: int, factor: float) -> None:
     ("name", "joint", "tilt"),
     [("franka-panda", 1, 0.03), ("kuka-iiwa7-r800", 1, 0.1), ("ur10e", 1, 0.2)],
 )
+@pytest.mark.study
 def test_gains_are_sought_on_the_tilted_robot(name: str, joint: int, tilt: float) -> None:
     assert found(name, tilt=tilt) == ()
     (error,) = found(name, gain(joint, 0.9), tilt)
@@ -214,6 +215,7 @@ def test_a_log_that_shows_no_error_of_the_clock_says_so(name: str, unseen: bool)
         assert whole in found["clock_unseen"].message
 
 
+@pytest.mark.study
 def test_errors_beyond_the_size_that_shows_are_found_and_smaller_ones_are_not() -> None:
     model, joint = bundled_robot("ur10e"), 3
     samples = prepare_samples(logged(model))

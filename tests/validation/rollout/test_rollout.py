@@ -94,6 +94,7 @@ def test_the_truth_is_closer_than_a_wrong_description(windows: Windows) -> None:
     assert [each.code for each in rollout_findings([exchanged])] == ["rollout_worse_than_command"]
 
 
+@pytest.mark.study
 def test_workers_simulate_the_same_to_the_last_bit(windows: Windows) -> None:
     truth = servo_arm()
     heavier = truth.with_parameters(1.2 * truth.parameters)

@@ -146,6 +146,7 @@ def test_channels_whose_rows_repeat_at_different_instants_run_together() -> None
         identify_channels(model, sensor, replace(motor, t=motor.t + 0.0021))
 
 
+@pytest.mark.study
 def test_stiffness_of_servos_from_a_payload(tmp_path: Path) -> None:
     model = load_robot("so-101")
     body = LinkInertia.from_com(0.2, [0.0, 0.0, 0.03], 1e-5 * np.eye(3))

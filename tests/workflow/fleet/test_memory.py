@@ -28,6 +28,7 @@ print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the peak from /proc")
+@pytest.mark.study
 def test_the_first_log_of_a_type_is_read_in_chunks_too(tmp_path: Path) -> None:
     """20 minutes at 1 kHz, 144 MB in memory; `ru_maxrss` would count what this process holds."""
     model, rng = bundled_robot(ROBOT), np.random.default_rng(1)

@@ -38,6 +38,7 @@ def study():
     return identify(cad, recording, options=options), recording
 
 
+@pytest.mark.study
 def test_refined_study_beats_the_linear_one_on_what_was_held_out(study) -> None:
     found, _ = study
     assert found.refined is not None

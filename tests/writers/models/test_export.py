@@ -309,6 +309,7 @@ def test_a_study_leaves_the_edited_urdf_behind(
     assert load_robot(files["urdf"]).joint_names == model.joint_names
 
 
+@pytest.mark.study
 def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
     shared: Path, tmp_path: Path
 ) -> None:
@@ -352,6 +353,7 @@ def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
     )
 
 
+@pytest.mark.study
 def test_a_study_says_what_its_files_cannot_hold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,6 +105,7 @@ def test_excite_refuses_an_unfit_format_before_it_designs(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.study
 def test_excite_writes_programs_beside_the_motion(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -156,6 +156,7 @@ def test_intervals_are_drawn_to_scale(cad: float | None) -> None:
         assert 0.0 <= place <= 170.0
 
 
+@pytest.mark.study
 def test_a_section_of_another_distribution_is_in_the_page(tmp_path: Path) -> None:
     site = tmp_path / "site"
     (site / "outside-1.0.dist-info").mkdir(parents=True)

@@ -414,16 +414,13 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
 def _refuse_other_joints(
     source: str, quantity: str, labels: Sequence[str], listed: Sequence[str]
 ) -> None:
-    """Raise if columns name their joints, and a sheet lists others or another order."""
-    if list(map(words_of, labels)) == list(map(words_of, listed)):
-        return
+    """Raise if columns name their joints, and a sheet lists others; names tell the order."""
     if sorted(map(words_of, labels)) == sorted(map(words_of, listed)):
-        cure = Cure("leave the list out: columns that name their joints need no order")
-    else:
-        cure = Cure(
-            "give the robot's name of each joint of the log in its place: [joints] with"
-            f' "{labels[0]}" = "..." and so on'
-        )
+        return
+    cure = Cure(
+        "give the robot's name of each joint of the log in its place: [joints] with"
+        f' "{labels[0]}" = "..." and so on'
+    )
     raise RecordingError(
         f"{source}: the sheet lists the joints {', '.join(listed)}, but the {quantity} columns name"
         f" theirs, {', '.join(labels)}",

@@ -43,6 +43,9 @@ class PlateauRules:
         Part of the scatter of what is implied below which the scatter of the torque lies.
     exceeds
         Excess of the largest torque implied, as a part of the level.
+    explained
+        Error of the fit to the whole log there, by that of the fit to the rest, up to which the
+        model explains it: a load that hardly varies leaves nothing else to fit.
     matters
         Level, as a part of the joint's largest torque, below which it is not one.
     """
@@ -54,6 +57,7 @@ class PlateauRules:
     follows: float = 0.3
     flat: float = 0.3
     exceeds: float = 0.06
+    explained: float = 0.2
     matters: float = 0.3
 
 
@@ -147,6 +151,9 @@ def _plateau(
     beyond = implied > level
     x, y = np.concatenate(torque)[beyond], implied[beyond]
     if x.size < RULES.fewest or y.max() < (1.0 + RULES.exceeds) * level:
+        return None
+    error = np.concatenate([each.measured[:, joint] - each.predicted[:, joint] for each in logged])
+    if np.mean(error[beyond] ** 2) <= RULES.explained**2 * np.mean((y - x) ** 2):
         return None
     scatter = float(np.std(y))
     slope = float(np.mean((x - x.mean()) * (y - y.mean()))) / scatter**2
