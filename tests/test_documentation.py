@@ -120,7 +120,7 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     pl.read_csv(folder / "timed.csv").drop("t").write_csv(folder / "log.csv")
     samples, other = (asbuilt.prepare_samples(each) for each in recordings)
     drive = asbuilt.DriveSet.parse("viscous,coulomb,offset")
-    options = asbuilt.StudyOptions(drive=drive, method="wls")
+    options = asbuilt.StudyOptions(drive=drive, method="consistent")
     studies = [asbuilt.identify(model, [each], options=options) for each in recordings]
     return {
         "folder": folder,

@@ -231,6 +231,7 @@ def test_identify_writes_everything_and_validates(
 
 
 @pytest.mark.parametrize("kind", ["bootstrap"])
+@pytest.mark.study
 def test_every_output_says_how_errors_were_judged(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path, kind: str
 ) -> None:
@@ -373,6 +374,7 @@ def test_what_is_missing_is_told_before_any_work(
     assert "missing.csv" in err
 
 
+@pytest.mark.study
 def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The virtual robot carries 3 % of its moving mass; a bare one was recorded before."""
     from asbuilt.description.inertia import LinkInertia

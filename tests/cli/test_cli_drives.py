@@ -274,6 +274,7 @@ def test_a_coupled_wrist_from_file_to_result(capsys, tmp_path, coupled):
     assert not any("motor_" in term for term in sensed["drive"])
 
 
+@pytest.mark.study
 def test_both_sides_of_a_coupled_wrist(capsys, tmp_path, coupled):
     robot, n = coupled
     model = load_robot(str(robot))

@@ -81,6 +81,7 @@ def test_json_has_the_promised_fields_and_the_file_holds_the_motion(
         assert 0 < document["d_efficiency"] < 1
 
 
+@pytest.mark.study
 def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
     status, out, _ = call(
         capsys,

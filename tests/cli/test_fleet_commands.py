@@ -18,6 +18,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [path for k in (1, 2) for path in write_logs(folder / f"R{k}", 2, robot=k)]
 
 
+@pytest.mark.study
 def test_a_ledger_from_the_command_line(
     capsys: pytest.CaptureFixture[str], logs: list[Path], tmp_path: Path
 ) -> None:

@@ -141,6 +141,7 @@ def test_an_ensemble_is_a_folder_that_its_module_loads(
     assert np.array_equal(polars.read_parquet(place / "parameters.parquet").to_numpy(), before)
 
 
+@pytest.mark.study
 def test_every_simulator_format_is_written_and_says_what_it_cannot_hold(
     study: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

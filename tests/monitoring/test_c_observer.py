@@ -90,6 +90,7 @@ def test_header_gives_the_filter_that_thresholds_count_on(
         assert ("causal filter" in header.read_text()) is named
 
 
+@pytest.mark.study
 def test_observer_is_that_in_python(result: IdentificationResult, in_c: CompiledObserver) -> None:
     """An irregular clock with a gap; joints that slide, branch and share motors."""
     rng, n = np.random.default_rng(1), result.model.n_joints

@@ -123,6 +123,7 @@ def test_events_across_chunks_are_one(watched: WatchedRobot) -> None:
     assert len(joined_events((event, replace(later, start=event.end + 2.0)), 1.0)) == 2
 
 
+@pytest.mark.study
 def test_thresholds_come_from_quiet_recordings_or_are_said_not_to(watched: WatchedRobot) -> None:
     quiet = watch(
         watched.result, watched.record(26, 15.0), calibrate=watched.quiet, options=UNCHECKED

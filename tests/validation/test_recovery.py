@@ -36,6 +36,7 @@ def identified() -> tuple[IdentificationResult, SimulatedRecording]:
     )
 
 
+@pytest.mark.study
 def test_a_lab_recording_leads_back_to_the_truth(
     identified: tuple[IdentificationResult, SimulatedRecording],
 ) -> None:
@@ -50,6 +51,7 @@ def test_a_lab_recording_leads_back_to_the_truth(
     assert recovery.torque_error < 2e-3
 
 
+@pytest.mark.study
 def test_errors_are_those_of_the_parameters(
     identified: tuple[IdentificationResult, SimulatedRecording],
 ) -> None:
@@ -64,6 +66,7 @@ def test_errors_are_those_of_the_parameters(
     assert after.deviations[k] == pytest.approx(before.deviations[k] - 3.0, abs=1e-6)
 
 
+@pytest.mark.study
 def test_what_cannot_be_compared_is_refused(
     identified: tuple[IdentificationResult, SimulatedRecording],
 ) -> None:
@@ -80,6 +83,7 @@ def test_what_cannot_be_compared_is_refused(
         )
 
 
+@pytest.mark.study
 def test_a_dropped_parameter_has_no_error_to_lie_within(
     identified: tuple[IdentificationResult, SimulatedRecording],
 ) -> None:

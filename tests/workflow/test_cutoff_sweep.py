@@ -40,6 +40,7 @@ def sweep(recording: Recording) -> CutoffSweep:
     )
 
 
+@pytest.mark.study
 def test_too_high_a_cutoff_costs(sweep: CutoffSweep) -> None:
     """Noise of 0.5 N m is the floor; encoder steps swamp accelerations at 30 Hz.
 
@@ -72,6 +73,7 @@ def test_a_statistic_that_is_not_known_is_a_dash(sweep: CutoffSweep) -> None:
     )
 
 
+@pytest.mark.study
 def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
     study = identify(
         load_robot("ur10e"),

@@ -67,6 +67,7 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
     np.testing.assert_allclose(other.result.n_samples, one.result.n_samples, rtol=0.02)
 
 
+@pytest.mark.study
 def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
     answer = document(capsys, "identify", "scara", log, "--holdout", "blocks:5s:3")

@@ -88,6 +88,7 @@ def test_a_motion_too_poor_for_its_parameters_is_called_so(recordings: list[Reco
     assert "does_not_generalise" in {warning.code for warning in study.findings}
 
 
+@pytest.mark.study
 def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording]) -> None:
     """One block of time can be fitted or judged by, not both."""
     brief = replace(
@@ -108,6 +109,7 @@ def test_nothing_to_learn_from_is_refused() -> None:
         identify(load_robot("scara"), [])
 
 
+@pytest.mark.study
 def test_a_recording_with_errors_is_refused_unless_unchecked(recordings: list[Recording]) -> None:
     with pytest.raises(RecordingError, match="flip"):
         identify(load_robot("scara"), [recordings[0].flipped()])
@@ -195,6 +197,7 @@ def test_lwr4_beats_plain_least_squares(shared: Path) -> None:
     )
 
 
+@pytest.mark.study
 def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
     sheet = tmp_path / "ur10e.toml"
     sheet.write_text(UR10E_SHEET)

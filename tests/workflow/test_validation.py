@@ -58,6 +58,7 @@ def same(one: Validation, other: Validation) -> None:
     np.testing.assert_array_equal(one.predicted, other.predicted)
 
 
+@pytest.mark.study
 def test_a_result_keeps_its_chain(slow: Recording, fast: Recording, tmp_path: Path) -> None:
     study = identify(ARM, slow, validation=fast, options=WLS)
     alone = resolve_chain(SignalChain(), slow)
@@ -72,6 +73,7 @@ def test_a_result_keeps_its_chain(slow: Recording, fast: Recording, tmp_path: Pa
     same(validate(study, [fast, slow])[1], study.training[0])
 
 
+@pytest.mark.study
 def test_of_a_training_recording_only_what_was_held_out_is_predicted(
     slow: Recording, fast: Recording, tmp_path: Path
 ) -> None:
@@ -84,6 +86,7 @@ def test_of_a_training_recording_only_what_was_held_out_is_predicted(
     assert "held out" not in other.source
 
 
+@pytest.mark.study
 def test_a_stored_study_keeps_its_findings(slow_study: Study, tmp_path: Path) -> None:
     study = slow_study
     again = read_study(write_result(tmp_path / "result.json", study))
@@ -108,6 +111,7 @@ def test_a_file_that_is_not_there_is_no_result(tmp_path: Path) -> None:
     assert caught.value.file == str(tmp_path / "nothing.json")
 
 
+@pytest.mark.study
 def test_a_spoilt_recording_is_refused_unless_unchecked(fast: Recording) -> None:
     study = identify(ARM, fast, options=WLS)
     with pytest.raises(RecordingError) as refused:

@@ -129,6 +129,7 @@ print(json.dumps([torque(q, qd, qdd).tolist(), torque(q[None], qd[None], qdd[Non
 """
 
 
+@pytest.mark.study
 def test_a_drive_term_from_outside_works_in_python_and_c(site: Path, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", CHECK],

@@ -304,6 +304,7 @@ def test_a_recording_is_told_how_much_it_carries(arm) -> None:
     assert still.by_joint[1] == 0
 
 
+@pytest.mark.study
 def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) -> None:
     """A clock that only goes on when looked at makes the time spent a number of looks, whatever the
     machine.
@@ -396,6 +397,7 @@ def test_an_unknown_family_is_refused() -> None:
         design_motion("two-link", DesignOptions(parametrisation="spline"))
 
 
+@pytest.mark.study
 def test_no_motion_is_nearer_to_the_bound_of_all_states_than_to_that_of_its_own(arm) -> None:
     model, _ = arm
     for limit in (0.5, 4.0):

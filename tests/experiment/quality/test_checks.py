@@ -85,6 +85,7 @@ def test_noise_of_joints_at_rest_is_no_velocity(iiwa: RobotModel, clean: Recordi
     assert not {code for code in check.codes if code.startswith("velocity_")}, check.as_text()
 
 
+@pytest.mark.study
 def test_pinocchio_torques_pass_and_flipped_ones_do_not(shared: Path) -> None:
     pin = pytest.importorskip("pinocchio")
     path = shared / "models" / "lbrstack_med7.urdf"
@@ -475,6 +476,7 @@ def test_real_recordings(shared: Path) -> None:
     assert codes(ur10, read_recording(data / "ur10_rosbag2", model=ur10)) == {"already_filtered"}
 
 
+@pytest.mark.study
 def test_real_currents(shared: Path) -> None:
     ur10e = load_robot(shared / "models" / "ur10e.urdf")
     columns = {"time": 1, "position": "2-7", "velocity": "8-13", "torque": "14-19"}

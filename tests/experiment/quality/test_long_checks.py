@@ -208,6 +208,7 @@ def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_pa
     assert growth < 0.2 * 22 * 8
 
 
+@pytest.mark.study
 def test_command_checks_long_files_in_chunks(
     iiwa: RobotModel,
     clean: Recording,

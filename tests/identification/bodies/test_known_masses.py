@@ -85,6 +85,7 @@ def test_masses_of_links_must_exist_and_agree_with_the_total(arm):
 
 
 @pytest.mark.parametrize("method", ["auto", "entropic", "wls"])
+@pytest.mark.study
 def test_the_robot_as_built_has_the_weighed_mass(arm, log, method):
     """What torques leave open follows the scale, also where CAD is outside the limits."""
     cad = sum(link.inertia.mass for link in arm.links)

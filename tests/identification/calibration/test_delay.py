@@ -132,6 +132,7 @@ def test_the_error_on_other_motions_falls_if_and_only_if_torques_are_late():
         ("airbot/airbot_play.urdf", "airbot/vali_ptrnSrch_N7T25QR-5.csv"),
     ],
 )
+@pytest.mark.study
 def test_delays_that_friction_imitates_are_not_applied(shared, robot, log, held_out):
     """Applied, they change the error on other recordings by -18 to +27 %."""
     model = load_robot(str(shared / "models" / robot))

@@ -38,6 +38,7 @@ def half(arm):
     return result_of(arm, 0.5)
 
 
+@pytest.mark.study
 def test_the_scale_of_gravity_torques_is_that_of_the_log(right, half):
     """The first axis is vertical and the last has its mass on its axis: they have no scale."""
     for result, scale in ((right, 1.0), (half, 0.5)):

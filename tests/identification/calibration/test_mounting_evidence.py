@@ -40,6 +40,7 @@ def test_relief_is_that_of_a_tilted_base(degrees):
         assert relief[0] < 0.1
 
 
+@pytest.mark.study
 def test_torques_without_noise_end_in_an_answer():
     arm = load_robot("ur10e")
     tilted = arm.with_gravity(9.81 * np.array([np.sin(0.17), 0.0, -np.cos(0.17)]))

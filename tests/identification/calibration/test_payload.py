@@ -271,6 +271,7 @@ def test_what_gains_do_to_a_payload_is_seen_by_changing_them(
     np.testing.assert_allclose(without.gain_errors[0], payload.gain_errors[0], rtol=0.5)
 
 
+@pytest.mark.study
 def test_random_gains_are_covered(by_current: tuple[VirtualRobot, Samples, Samples, str]) -> None:
     robot, bare, loaded, _ = by_current
     n, rng = robot.model.n_joints, np.random.default_rng(8)

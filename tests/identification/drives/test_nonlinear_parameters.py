@@ -75,6 +75,7 @@ def test_a_stribeck_velocity_comes_back_joint_by_joint():
     assert "fitted by variable projection" in found.sentences(model.joint_names)[0]
 
 
+@pytest.mark.study
 def test_two_nonlinear_parameters_come_back_together():
     model = elbow()
     truth = DriveSet.parse("smooth_coulomb:width=0.1,power:exponent=1.8,offset")

@@ -130,6 +130,7 @@ def test_few_time_blocks_give_students_distribution(result: IdentificationResult
     assert np.quantile(np.abs(sigmas), 0.99) > np.quantile(np.abs(normal), 0.99)
 
 
+@pytest.mark.study
 def test_workers_draw_the_same_robots_to_the_last_bit(result: IdentificationResult) -> None:
     n = 3 * AT_ONCE + 7
     here = draw_ensemble(result, n, rng=5)

@@ -60,6 +60,7 @@ def test_repeated_blocks_are_of_like_motion() -> None:
         assert {(b + 30) % 60 for b in group.tolist()} == set(group.tolist())
 
 
+@pytest.mark.study
 def test_variances_under_lasting_noise_are_those_of_dense_matrices() -> None:
     lasting = 1.0
     forget = np.exp(-1.0 / (RATE * lasting))
@@ -102,6 +103,7 @@ def test_intervals_of_a_repeated_motion_keep_their_level_and_have_less_variance(
     assert 0.5 < float(np.median(ratio)) < 0.66
 
 
+@pytest.mark.study
 def test_intervals_hold_what_blocks_of_like_motion_share() -> None:
     """Six motions, each recorded four times at other sizes, with what the model lacks there."""
     t = T[: int(8.0 * RATE)]

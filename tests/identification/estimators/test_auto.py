@@ -118,6 +118,7 @@ def test_undetermined_directions_that_are_refused_leave_plain_values(robot):
 
 
 @pytest.mark.parametrize("make", ["kuka-iiwa7-r800", "ur10e", "puma-560"])
+@pytest.mark.study
 def test_nearness_to_cad_follows_how_right_cad_is(trial, make):
     """Weights fall as CAD gets worse, and other motions are predicted no worse than plainly."""
     drive = "viscous,coulomb,offset"

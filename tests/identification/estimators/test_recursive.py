@@ -67,6 +67,7 @@ def test_load_that_is_picked_up_is_followed(robot):
     assert np.linalg.norm(average.beta - loaded) > 0.3 * moved
 
 
+@pytest.mark.study
 def test_standing_still_loses_nothing_with_a_prior(robot):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.1, seconds=10.0, parallel=False)

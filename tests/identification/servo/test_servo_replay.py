@@ -79,6 +79,7 @@ def exact():
     return model, recording
 
 
+@pytest.mark.study
 def test_a_replay_is_the_motion_that_mujoco_simulates_in_fine_steps(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)
@@ -89,6 +90,7 @@ def test_a_replay_is_the_motion_that_mujoco_simulates_in_fine_steps(exact):
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.sqrt(np.mean((late - recording.q) ** 2))
 
 
+@pytest.mark.study
 def test_a_replay_that_diverges_is_none(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)
@@ -96,6 +98,7 @@ def test_a_replay_that_diverges_is_none(exact):
     assert replayed(model, base, recording, SERVO, parameters) is None
 
 
+@pytest.mark.study
 def test_white_noise_of_the_positions_is_measured(exact):
     recording = exact[1]
     noise = np.array([1e-3, 3e-3, 2e-3])
@@ -105,6 +108,7 @@ def test_white_noise_of_the_positions_is_measured(exact):
     assert position_noise(replace(recording, q=steps)) == pytest.approx(2e-3 / 12**0.5, rel=0.2)
 
 
+@pytest.mark.study
 def test_what_noise_of_the_positions_adds_on_average_is_taken_away(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)
@@ -130,6 +134,7 @@ def test_what_noise_of_the_positions_adds_on_average_is_taken_away(exact):
     assert np.max(bias[True]) < 0.25 * np.max(bias[False])
 
 
+@pytest.mark.study
 def test_a_replay_of_a_robot_that_rests_is_none(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)

@@ -43,6 +43,7 @@ def refined(study: tuple[Fit, Windows]) -> RefinedFit:
     return refine_fit(fit, [windows], replace(SERVO, delay=0.0))
 
 
+@pytest.mark.study
 def test_refinement_recovers_the_truth_within_its_intervals(
     study: tuple[Fit, Windows], refined: RefinedFit
 ) -> None:
@@ -62,6 +63,7 @@ def test_refinement_recovers_the_truth_within_its_intervals(
 
 
 @pytest.mark.parametrize("factor", [0.3, 4.0])
+@pytest.mark.study
 def test_other_starts_reach_the_same_optimum(
     study: tuple[Fit, Windows], refined: RefinedFit, factor: float
 ) -> None:
@@ -74,10 +76,12 @@ def test_other_starts_reach_the_same_optimum(
     assert np.all(np.abs(other.fit.estimate.beta - refined.fit.estimate.beta) < 0.3 * error + 1e-9)
 
 
+@pytest.mark.study
 def test_a_link_stays_physically_consistent(refined: RefinedFit) -> None:
     assert all(link.inertia.is_consistent for link in refined.robot.model.links)
 
 
+@pytest.mark.study
 def test_the_result_says_that_it_was_refined(refined: RefinedFit) -> None:
     assert any("Refined by trajectories" in line for line in refined.fit.provenance)
 

@@ -111,6 +111,7 @@ def test_half_a_kilogram_at_the_flange_is_found() -> None:
     assert {"A2", "A4"} <= set(alarmed(drift))
 
 
+@pytest.mark.study
 def test_free_values_are_those_of_lapack_on_the_rows_themselves() -> None:
     recording = robot_of("").record(random_fourier(ROBOT, 1, duration=12.0), rng=1).recording
     train, _ = hold_out(prepare_samples(recording, SignalChain()), "blocks:2s:3")
@@ -138,6 +139,7 @@ def test_free_values_are_those_of_lapack_on_the_rows_themselves() -> None:
     assert not np.allclose(result.free.estimates, result.estimates, rtol=1e-3)
 
 
+@pytest.mark.study
 def test_results_keep_their_free_values_in_a_file() -> None:
     result = identified(0)
     read = IdentificationResult.from_json(result.to_json())
@@ -148,6 +150,7 @@ def test_results_keep_their_free_values_in_a_file() -> None:
     np.testing.assert_array_equal(read.free.determined, result.free.determined)
 
 
+@pytest.mark.study
 def test_files_without_free_values_load_and_damaged_ones_are_refused() -> None:
     whole = json.loads(identified(0).to_json())
     old = {name: value for name, value in whole.items() if name != "free"}
@@ -158,6 +161,7 @@ def test_files_without_free_values_load_and_damaged_ones_are_refused() -> None:
         )
 
 
+@pytest.mark.study
 def test_a_result_by_weighted_least_squares_is_its_own_free_one() -> None:
     train, _ = hold_out(
         prepare_samples(

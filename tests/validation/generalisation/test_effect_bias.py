@@ -88,6 +88,7 @@ def test_without_effects_and_with_textbook_errors_nothing_is_added(method: str) 
     assert with_effects(fitted(data, method, "textbook"), [data], SHOWN).omitted is None
 
 
+@pytest.mark.study
 def test_intervals_hold_the_truth_under_friction_that_the_model_lacks() -> None:
     truth = np.concatenate(
         [

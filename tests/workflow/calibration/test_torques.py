@@ -54,6 +54,7 @@ def loaded() -> Recording:
     return recorded(2, loaded=True)
 
 
+@pytest.mark.study
 def test_gains_are_those_of_samples_prepared_by_one_chain(
     bare: Recording, loaded: Recording
 ) -> None:
@@ -71,6 +72,7 @@ def test_gains_are_those_of_samples_prepared_by_one_chain(
     np.testing.assert_allclose(found.gains, GAINS, rtol=0.1)
 
 
+@pytest.mark.study
 def test_gains_of_streams_are_those_of_the_whole(
     bare: Recording, loaded: Recording, tmp_path: Path
 ) -> None:

@@ -50,6 +50,7 @@ def codes(study):
     ],
     ids=lambda options: next(iter(options.values()), "default"),
 )
+@pytest.mark.study
 def test_the_default_changes_no_parameter_and_no_error(log, options) -> None:
     """The fit to everything is that of a study which holds nothing out, to the last digit."""
     by_default, whole = studied(log, **options), studied(log, **options, holdout=None)
@@ -117,6 +118,7 @@ def test_samples_that_are_prepared_already_are_divided_too(log) -> None:
     assert len(by_default.validations) == 1
 
 
+@pytest.mark.study
 def test_the_command_line_says_both_and_takes_none(log, tmp_path, capsys) -> None:
     path = tmp_path / "log.csv"
     names = ["t", "q_1", "q_2", "tau_1", "tau_2"]

@@ -29,6 +29,7 @@ def usable(style: str) -> str:
 
 
 @pytest.mark.parametrize("style", STYLES)
+@pytest.mark.study
 def test_every_robot_is_drawn_within_the_picture(style: str) -> None:
     usable(style)
     for name in ("scara", "ur10e", "g1-arms"):
@@ -47,6 +48,7 @@ def test_every_robot_is_drawn_within_the_picture(style: str) -> None:
 
 
 @pytest.mark.parametrize(("style", "suffix"), [("rendered", "webp"), ("skeleton", "gif")])
+@pytest.mark.study
 def test_animation_has_the_length_of_the_motion(style: str, suffix: str, tmp_path: Path) -> None:
     usable(style)
     model = bundled_robot("two-link")

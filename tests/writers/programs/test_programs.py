@@ -472,6 +472,7 @@ def test_motions_on_which_bodies_touch_are_refused() -> None:
 
 @pytest.mark.parametrize("form", sorted(PROGRAM_FORMATS))
 @pytest.mark.parametrize("parametrisation", ["fourier", "bspline", "quintic", "point-to-point"])
+@pytest.mark.study
 def test_kinds_of_motion_are_refused_by_name_as_they_would_be_by_motion(
     form: str, parametrisation: str
 ) -> None:

@@ -27,6 +27,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("width", [1300, 900])
+@pytest.mark.study
 def test_no_table_is_cut_off(files: dict[str, Path], width: int, tmp_path: Path) -> None:
     browser = chromium(tmp_path, f"disable-gpu window-size={width},1000")
     browser.get(files["report"].as_uri())

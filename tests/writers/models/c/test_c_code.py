@@ -113,6 +113,7 @@ def test_random_trees_under_tilted_gravity(seed: int, tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(random_robot(np.random.default_rng(seed), 5), seed))
 
 
+@pytest.mark.study
 def test_two_arms(tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(two_armed(), 4))
 
