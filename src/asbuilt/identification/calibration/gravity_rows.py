@@ -12,8 +12,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.information.rows import sample_blocks
-from asbuilt.identification.information.triangular import ROWS_AT_ONCE, GrowingFactor
+from asbuilt.identification.information.rows import JointFactors, sample_blocks
+from asbuilt.identification.information.triangular import GrowingFactor
 
 FIRST_OF_GRAVITY = 6
 """Place among the ten parameters of a link from which on gravity acts on them: first moments and
@@ -58,9 +58,7 @@ class GravityRows:
             RegressorPlan.of(model.with_gravity(axis), columns=base.columns[columns])
             for axis in np.eye(3)
         ]
-        growing = [
-            GrowingFactor(len(support) + plan.spare_rows, ROWS_AT_ONCE) for support in plan.support
-        ]
+        reduced = JointFactors(plan)
 
         def added(q: Array) -> list[Array]:
             found = []
@@ -74,11 +72,9 @@ class GravityRows:
 
         for part in sample_blocks(model, samples, block_seconds):
             q = part.samples.q
-            for chunk in part.chunks(plan, beside=lambda span, q=q: added(q[span])):  # type: ignore[misc]
-                for one, rows in zip(growing, chunk, strict=True):
-                    one.append(rows)
+            reduced.add(part, lambda span, q=q: added(q[span]))  # type: ignore[misc]
         gravity = np.array(model.gravity, dtype=np.float64)
-        return cls(base, gravity, columns, plan.support, tuple(one.factor() for one in growing))
+        return cls(base, gravity, columns, plan.support, reduced.factors())
 
     def stacked(self, gravity: Array, weights: Sequence[float] | Array) -> Array:
         """Return the factor (p + 1, p + 1) of all joints' rows, joint k times `weights[k]`."""

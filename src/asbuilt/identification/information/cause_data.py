@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -19,10 +19,8 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.information.rows import SampleBlock, sample_blocks
+from asbuilt.identification.information.rows import JointFactors, SampleBlock, sample_blocks
 from asbuilt.identification.information.triangular import (
-    ROWS_AT_ONCE,
-    GrowingFactor,
     packed_triangle,
     unpacked_triangle,
     widened,
@@ -158,14 +156,21 @@ def gather_cause_data(
     plan = RegressorPlan.of(model, drive, columns, spare_rows=len(TILTS) + 1)
     axes = axes_across(model.gravity)
     tilted = [model.with_gravity(np.cross(model.gravity, axis)) for axis in axes]
-    two = _Reduction(plan), _Reduction(plan)
+    two = JointFactors(plan), JointFactors(plan)
+
+    def turned(part: SampleBlock) -> Callable[[slice], list[Array]]:
+        q = part.samples.q
+        return lambda span: [gravity_torque(robot, q[span]) for robot in tilted]
+
     sources: dict[str, None] = {}
     with one_blas_thread():
         for part in sample_blocks(model, judged, block_seconds):
             sources[part.samples.source] = None
-            two[1].add(part, tilted)
+            two[1].add(part, turned(part))
         for number, part in enumerate(sample_blocks(model, fitted, block_seconds)):
-            two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(part, tilted)
+            two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(
+                part, turned(part)
+            )
         factors = [reduction.factors() for reduction in two]
     if not two[0].n_samples or not two[1].n_samples:
         raise IdentifiabilityError(
@@ -185,26 +190,3 @@ def gather_cause_data(
         judged_by=", ".join(sources) or f"every {HELD_BACK}rd block of the data used",
         tilt_axes=axes,
     )
-
-
-class _Reduction:
-    """Reduce rows to one factor per joint."""
-
-    def __init__(self, plan: RegressorPlan) -> None:
-        self._plan = plan
-        self._growing = [
-            GrowingFactor(len(support) + plan.spare_rows, ROWS_AT_ONCE) for support in plan.support
-        ]
-        self.n_samples = 0
-
-    def add(self, part: SampleBlock, tilted: list[RobotModel]) -> None:
-        self.n_samples += part.n_outputs
-        q = part.samples.q
-        for chunk in part.chunks(
-            self._plan, beside=lambda span: [gravity_torque(model, q[span]) for model in tilted]
-        ):
-            for growing, rows in zip(self._growing, chunk, strict=True):
-                growing.append(rows)
-
-    def factors(self) -> tuple[Array, ...]:
-        return tuple(growing.factor() for growing in self._growing)

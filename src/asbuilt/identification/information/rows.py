@@ -14,6 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.information.triangular import ROWS_AT_ONCE, GrowingFactor
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -151,6 +152,28 @@ def sample_blocks(
             edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
             for first, last in pairwise(edges.tolist()):
                 yield SampleBlock(samples, start, stop, first, last, seconds)
+
+
+class JointFactors:
+    """Reduce rows, and columns beside them, to one factor of each joint for all time blocks."""
+
+    def __init__(self, plan: RegressorPlan) -> None:
+        self._plan = plan
+        self._growing = [
+            GrowingFactor(len(support) + plan.spare_rows, ROWS_AT_ONCE) for support in plan.support
+        ]
+        self.n_samples = 0
+
+    def add(self, part: SampleBlock, beside: Callable[[slice], Sequence[Array]]) -> None:
+        """Add the rows of a time block, with `beside` as in `SampleBlock.chunks`."""
+        self.n_samples += part.n_outputs
+        for chunk in part.chunks(self._plan, beside):
+            for growing, rows in zip(self._growing, chunk, strict=True):
+                growing.append(rows)
+
+    def factors(self) -> tuple[Array, ...]:
+        """Return the factor of each joint's rows so far."""
+        return tuple(growing.factor() for growing in self._growing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
