@@ -17,6 +17,7 @@ import numpy as np
 
 from asbuilt.dynamics.kernels.compilation import compiled
 from asbuilt.dynamics.kernels.operations import STACK
+from asbuilt.dynamics.kernels.recursion import PARENT
 from asbuilt.dynamics.kernels.single_sample import CODES, PER_LINK, mass_matrix, torque
 from asbuilt.dynamics.kernels.stack_machine import run
 
@@ -31,32 +32,53 @@ LOST = 1e4
 
 
 @compiled
-def factored(A, n):
-    """Write the lower Cholesky factor over A; return False if A is not positive definite."""
-    for j in range(n):
-        for k in range(j):
-            A[j, j] -= A[j, k] * A[j, k]
-        if not A[j, j] > 0.0:
-            return False
-        A[j, j] = np.sqrt(A[j, j])
-        for i in range(j + 1, n):
-            for k in range(j):
+def factored(A, first, n):
+    """Write the lower Cholesky factor over A; return False if A is not positive definite.
+
+    Row i of A begins at `first[i]`: what is before it is zero, and so it is in the factor. The
+    diagonal of the factor is kept inverted.
+    """
+    for i in range(n):
+        for j in range(first[i], i):
+            for k in range(max(first[i], first[j]), j):
                 A[i, j] -= A[i, k] * A[j, k]
-            A[i, j] /= A[j, j]
+            A[i, j] *= A[j, j]
+            A[i, i] -= A[i, j] * A[i, j]
+        if not A[i, i] > 0.0:
+            return False
+        A[i, i] = 1.0 / np.sqrt(A[i, i])
     return True
 
 
 @compiled
-def solved(L, x, n):
-    """Overwrite x by the solution of `L L^T y = x`."""
+def solved(L, first, x, n):
+    """Overwrite x by the solution of `L L^T y = x` for a factor of `factored`."""
     for i in range(n):
-        for k in range(i):
+        for k in range(first[i], i):
             x[i] -= L[i, k] * x[k]
-        x[i] /= L[i, i]
+        x[i] *= L[i, i]
     for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= L[k, i] * x[k]
-        x[i] /= L[i, i]
+        x[i] *= L[i, i]
+        for k in range(first[i], i):
+            x[k] -= L[i, k] * x[i]
+
+
+@compiled
+def _row_starts(codes, moved_by, rotors, damping, first):
+    """Write the column at which each row (n,) of the mass matrix begins, by the branches."""
+    for k in range(first.size):
+        first[k] = k
+        for j in range(k):
+            if first[k] == k and (rotors[k, j] != 0.0 or damping[k, j] != 0.0):
+                first[k] = j
+    for i in range(codes.size // CODES):
+        j = i
+        while j >= 0:
+            k, r = i, j
+            if moved_by.size > 0:
+                k, r = moved_by[i], moved_by[j]
+            first[max(k, r)] = min(first[max(k, r)], k, r)
+            j = codes[CODES * j + PARENT]
 
 
 @compiled
@@ -103,35 +125,46 @@ def _split_drive(program, links, numbers, q, v, load, away, zero, stack, even, o
 
 
 @compiled
-def _rubbed(L, h, odd, friction, v, W, column, n):
-    """Change free velocities v to those under dry friction, whose impulses are kept."""
-    for j in range(n):
-        column[:] = 0.0
-        column[j] = 1.0
-        solved(L, column, n)
-        W[j] = column
+def _rubbed(L, first, h, odd, friction, v, W, column, n):
+    """Change free velocities v to those under dry friction, whose impulses are kept.
+
+    The impulses before are tried first: they are those of a robot whose joints all slide on.
+    """
     largest = 0.0
     for j in range(n):
         bound = h * max(odd[j], 0.0)
         friction[j] = min(max(friction[j], -bound), bound)
         largest = max(largest, bound)
-        for i in range(n):
-            v[i] -= W[i, j] * friction[j]
+        column[j] = friction[j]
     if largest == 0.0:
         return
+    solved(L, first, column, n)
+    sliding = True
+    for j in range(n):
+        v[j] -= column[j]
+        bound = h * max(odd[j], 0.0)
+        sliding = sliding and abs(friction[j]) == bound and friction[j] * v[j] >= 0.0
+    if sliding:
+        return
+    for j in range(n):
+        W[j, j] = 0.0
     for _ in range(ROUNDS):
         change = 0.0
         for j in range(n):
             bound = h * max(odd[j], 0.0)
-            if bound == 0.0:
+            if bound == 0.0 or (abs(friction[j]) == bound and friction[j] * v[j] >= 0.0):
                 continue
+            if W[j, j] == 0.0:
+                W[j] = 0.0
+                W[j, j] = 1.0
+                solved(L, first, W[j], n)
             new = min(max(friction[j] + v[j] / W[j, j], -bound), bound)
             moved = new - friction[j]
             if moved != 0.0:
                 friction[j] = new
                 change = max(change, abs(moved))
                 for i in range(n):
-                    v[i] -= W[i, j] * moved
+                    v[i] -= W[j, i] * moved
         if change <= SETTLED * largest:
             break
 
@@ -173,7 +206,8 @@ def simulate(
     away, friction, stack = np.empty(n), np.empty(n), np.empty(STACK)
     M, W, column, tau = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)
     position, rate, free = np.empty(n), np.empty(n), np.empty(n)
-    full = np.empty(n, dtype=np.bool_)
+    full, first = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.int64)
+    _row_starts(codes, moved_by, rotors, damping, first)
     for w in range(windows):
         friction[:] = 0.0
         alive = True
@@ -221,12 +255,12 @@ def simulate(
                     M[k, j] += rotors[k, j] + h * damping[k, j]
                 if by_command and not full[k]:
                     M[k, k] += h * kd[k]
-            alive = alive and factored(M, n)
+            alive = alive and factored(M, first, n)
             if alive:
-                solved(M, free, n)
+                solved(M, first, free, n)
                 for k in range(n):
                     free[k] = rate[k] + h * free[k]
-                _rubbed(M, h, odd, friction, free, W, column, n)
+                _rubbed(M, first, h, odd, friction, free, W, column, n)
             for k in range(n):
                 alive = alive and abs(free[k]) < LOST
             for k in range(n):
@@ -283,7 +317,7 @@ def sensitivities(
     m, known = joints.size, columns.shape[3]
     p = known + 2 * m
     windows, steps = columns.shape[0], columns.shape[1]
-    A, place = np.empty((m, m)), np.empty(m, dtype=np.int64)
+    A, place, dense = np.empty((m, m)), np.empty(m, dtype=np.int64), np.zeros(m, dtype=np.int64)
     dq, dv, right = np.empty((m, p)), np.empty((m, p)), np.empty((m, p))
     for w in range(windows):
         dq[:], dv[:] = 0.0, 0.0
@@ -325,17 +359,19 @@ def sensitivities(
                             right[x, c] += coupling * dv[i, c]
                     for c in range(p):
                         dv[i, c] = 0.0
-            if factored(A, moving):
+            if factored(A, dense, moving):
                 for x in range(moving):
-                    for c in range(p):
-                        for k in range(x):
+                    for k in range(x):
+                        for c in range(p):
                             right[x, c] -= A[x, k] * right[k, c]
-                        right[x, c] /= A[x, x]
-                for x in range(moving - 1, -1, -1):
                     for c in range(p):
-                        for k in range(x + 1, moving):
+                        right[x, c] *= A[x, x]
+                for x in range(moving - 1, -1, -1):
+                    for k in range(x + 1, moving):
+                        for c in range(p):
                             right[x, c] -= A[k, x] * right[k, c]
-                        right[x, c] /= A[x, x]
+                    for c in range(p):
+                        right[x, c] *= A[x, x]
                 for x in range(moving):
                     for c in range(p):
                         dv[place[x], c] += h * right[x, c]
