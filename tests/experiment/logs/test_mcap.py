@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.mcap.messages import read_mcap
 from asbuilt.experiment.logs.readers import read_recording
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -134,6 +135,24 @@ def test_commands_in_json_on_a_topic_of_their_own(tmp_path: Path) -> None:
         read_recording(path)
     recording = read_recording(path, sheet={"command_topic": "/arm/leaders"}, kp=1.0)
     np.testing.assert_array_equal(recording.command, Q + 1.0)
+
+
+def test_commands_in_json_of_the_kinds_that_ros_has(tmp_path: Path) -> None:
+    numbers = channel(1, "/joint_states") + channel(2, "/arm/commands")
+    trajectories = channel(1, "/joint_states") + channel(2, "/arm/joint_trajectory")
+    for k in range(N):
+        state = message(1, k, {"name": NAMES, "position": Q[k].tolist()})
+        ahead = (Q[k, ::-1] + 1.0).tolist()
+        numbers += message(2, k, {"layout": {}, "data": ahead}) + state
+        point = {"positions": ahead, "time_from_start": {"sec": 0, "nsec": 0}}
+        trajectories += message(2, k, {"joint_names": NAMES[::-1], "points": [point]}) + state
+    path = written(tmp_path / "log.mcap", trajectories)
+    np.testing.assert_array_equal(read_recording(path, kp=1.0).command, Q + 1.0)
+    path = written(tmp_path / "log.mcap", numbers)
+    recording = read_recording(path, sheet={"command_joints": NAMES[::-1]}, kp=1.0)
+    np.testing.assert_array_equal(recording.command, Q + 1.0)
+    with pytest.raises(RecordingError, match="2 numbers without the names"):
+        read_mcap(path)
 
 
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:

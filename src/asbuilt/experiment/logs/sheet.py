@@ -145,7 +145,8 @@ class RecordingSheet(_Part):
     `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
     of the log. `kp`, `kd` and the limits are those of the position servo, "auto" if unknown; of
     the acceleration and the speed of its goal also "none". `topic` and `command_topic` are those
-    of the joint states and of the commanded ones in a bag.
+    of the joint states and of the commanded ones in a bag, and `command_joints` the joints of
+    commands that are numbers alone, in their order.
     `date` is when the recording began, in UTC unless it names a time zone.
 
     Examples
@@ -182,6 +183,7 @@ class RecordingSheet(_Part):
     )
     topic: str | None = None
     command_topic: str | None = None
+    command_joints: list[str] | None = None
     date: datetime | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:

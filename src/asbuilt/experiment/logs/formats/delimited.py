@@ -20,7 +20,7 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogStream,
     LogTable,
 )
-from asbuilt.experiment.logs.formats.topic_echo import is_topic_echo, read_topic_echo
+from asbuilt.experiment.logs.formats.ros.topic_echo import is_topic_echo, read_topic_echo
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 

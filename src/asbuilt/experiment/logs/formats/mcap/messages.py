@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,56 +15,49 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.experiment.logs.formats.mcap.records import Channel, McapRecords
-from asbuilt.experiment.logs.formats.ros_bag import (
+from asbuilt.experiment.logs.formats.ros.bags import choices_of_topics, read_ros_bag
+from asbuilt.experiment.logs.formats.ros.joint_table import joint_table
+from asbuilt.experiment.logs.formats.ros.messages import (
+    ARRAY,
+    CONTROLLER_STATE,
+    DYNAMIC_STATE,
     JOINT_STATE,
-    chosen_topics,
-    joint_state_table,
-    read_ros_bag,
+    KINDS,
+    TRAJECTORY,
 )
+from asbuilt.experiment.logs.formats.ros.topics import chosen_topics
 from asbuilt.findings import Cure
 
 NAMES = ("name", "names", "joint_names")
 SECONDS, NANOSECONDS = ("sec", "secs"), ("nanosec", "nsec", "nsecs")
+TIMES = ("stamp", "time_from_start")
+SHAPES = MappingProxyType(
+    {
+        DYNAMIC_STATE: {"joint_names", "interface_values"},
+        CONTROLLER_STATE: {"joint_names", "error"},
+        TRAJECTORY: {"joint_names", "points"},
+        ARRAY: {"layout", "data"},
+    }
+)
+"""Fields by which messages in JSON are recognised."""
 DEEPEST = 8
 """Objects within objects that fields are looked for in."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stamp:
-    """Hold a time in seconds and nanoseconds."""
-
-    sec: int
-    nanosec: int
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """Hold the time of a message."""
-
-    stamp: Stamp
-
-
-@dataclass(frozen=True, slots=True)
-class JointState:
-    """Hold the fields of a joint state, as `sensor_msgs/JointState` names them."""
-
-    header: Header
-    name: tuple[str, ...]
-    position: Array
-    velocity: Array
-    effort: Array
-
-
 def read_mcap(
-    path: Path, *, topic: str | None = None, command_topic: str | None = None
+    path: Path,
+    *,
+    topic: str | None = None,
+    command_topic: str | None = None,
+    command_joints: Sequence[str] | None = None,
+    required: bool = False,
 ) -> LogTable:
-    """Read joint states of ROS 2, or messages in JSON, from an MCAP file.
+    """Read joints as `read_ros_bag` does, or messages in JSON, from an MCAP file.
 
     JSON messages are joint states (`name`, `position`, `velocity`, `effort`), lists of joints
-    (`joints` with `name`, `position`, ... each, as `foxglove.JointStates`), or objects whose
-    numbers and lists of numbers become columns such as `q_1`. Joint states on `command_topic`, or
-    on the only other topic whose name says so, are commanded positions. A file that was cut off is
-    read as far as it goes.
+    (`joints` with `name`, `position`, ... each, as `foxglove.JointStates`), the other messages that
+    `read_ros_bag` reads, or objects whose numbers and lists of numbers become columns such as
+    `q_1`. A file that was cut off is read as far as it goes.
 
     Raises
     ------
@@ -77,13 +70,19 @@ def read_mcap(
     records = McapRecords(path)
     found: dict[str, list[tuple[int, bytes]]] = {}
     of_ros: set[str] = set()
+    options: dict[str, Any] = {
+        "topic": topic,
+        "command_topic": command_topic,
+        "command_joints": command_joints,
+        "required": required,
+    }
     for channel, stamp, content in records.messages():
         if channel.encoding == "json":
             found.setdefault(channel.topic, []).append((stamp, content))
-        elif _is_joint_state(channel):
+        elif _holds_states(channel):
             of_ros.add(channel.topic)
     if of_ros and (topic is None or topic in of_ros):
-        return read_ros_bag(path, topic=topic, command_topic=command_topic)
+        return read_ros_bag(path, **options)
     if not found:
         others = sorted({f"{c.topic} ({c.encoding})" for c in records.channels.values()})
         raise RecordingError(
@@ -93,7 +92,7 @@ def read_mcap(
             file=str(path),
         )
     parsed = {each: _parsed(path, each, found[each]) for each in found}
-    table = _table(path, parsed, topic, command_topic)
+    table = _table(path, parsed, **options)
     if records.complete:
         return table
     note = f"the file is cut off after {table.n_samples} messages"
@@ -101,8 +100,9 @@ def read_mcap(
                     (*table.notes, note))  # fmt: skip
 
 
-def _is_joint_state(channel: Channel) -> bool:
-    return channel.encoding == "cdr" and channel.schema == JOINT_STATE
+def _holds_states(channel: Channel) -> bool:
+    kind = KINDS.get(channel.schema)
+    return channel.encoding == "cdr" and kind is not None and kind.states is not None
 
 
 def _parsed(path: Path, topic: str, messages: Sequence[tuple[int, bytes]]) -> list[tuple[int, Any]]:
@@ -125,17 +125,22 @@ def _parsed(path: Path, topic: str, messages: Sequence[tuple[int, bytes]]) -> li
 def _table(
     path: Path,
     topics: Mapping[str, list[tuple[int, Any]]],
+    *,
     topic: str | None,
     command_topic: str | None,
+    **options: Any,
 ) -> LogTable:
-    states = {
-        name: [(stamp, state) for stamp, each in objects if (state := _state(stamp, each))]
-        for name, objects in topics.items()
-    }
-    joint_states = {name for name, each in states.items() if each}
-    if joint_states and (topic is None or topic in joint_states):
-        chosen, commands = chosen_topics(path, joint_states, topic, command_topic)
-        return joint_state_table(path, states[str(chosen)], states[commands] if commands else [])
+    types: dict[str, str] = {}
+    messages: dict[str, list[tuple[int, Any]]] = {}
+    for name, objects in topics.items():
+        kinds = [(stamp, found) for stamp, each in objects if (found := _of_ros(stamp, each))]
+        if kinds:
+            types[name] = kinds[0][1][0]
+            messages[name] = [(at, each) for at, (kind, each) in kinds if kind == types[name]]
+    states = {name for name, kind in types.items() if KINDS[kind].states}
+    if states and (topic is None or topic in states):
+        chosen = chosen_topics(path, types, topic, command_topic)
+        return joint_table(path, chosen, types, messages, **options)
     if topic is None and len(topics) > 1:
         raise RecordingError(
             f"{path} has messages in JSON on {len(topics)} topics ({', '.join(sorted(topics))})",
@@ -154,7 +159,37 @@ def _table(
     return _columns(path, topics[topic or next(iter(topics))])
 
 
-def _state(logged: int, message: Mapping[str, Any]) -> JointState | None:
+def _of_ros(logged: int, message: Mapping[str, Any]) -> tuple[str, Any] | None:
+    """Return the type of ROS that a message in JSON has, and the message; None if it has none."""
+    state = _state(logged, message)
+    if state is not None:
+        return JOINT_STATE, state
+    kind = next((kind for kind, fields in SHAPES.items() if fields <= set(message)), None)
+    if kind is None:
+        return None
+    message = {"header": {}, **message}
+    found = _with_fields(message)
+    try:
+        (KINDS[kind].commands or KINDS[kind].states)(logged, found)  # type: ignore[misc]
+    except (AttributeError, TypeError, ValueError, KeyError):
+        return None
+    return kind, found
+
+
+def _with_fields(value: Any, name: str = "", depth: int = 0) -> Any:
+    """Return a JSON value with objects as attributes, and times as ROS names their parts."""
+    if isinstance(value, Mapping) and (name in TIMES or {*SECONDS} & set(value)):
+        return _time(value, 0)
+    if isinstance(value, Mapping) and depth < DEEPEST:
+        parts = {**({"stamp": {}} if name == "header" else {}), **value}
+        fields = {str(key): _with_fields(each, str(key), depth + 1) for key, each in parts.items()}
+        return SimpleNamespace(**fields)
+    if isinstance(value, list) and depth < DEEPEST:
+        return [_with_fields(each, "", depth + 1) for each in value]
+    return value
+
+
+def _state(logged: int, message: Mapping[str, Any]) -> Any:
     """Return a message as a joint state, None if it is none."""
     joints = message.get("joints")
     if isinstance(joints, list) and joints and all(isinstance(each, Mapping) for each in joints):
@@ -171,26 +206,27 @@ def _state(logged: int, message: Mapping[str, Any]) -> JointState | None:
         return None
     header = message.get("header")
     stamp = header.get("stamp") if isinstance(header, Mapping) else message.get("timestamp")
-    return JointState(
-        Header(_stamp(stamp, logged)),
-        tuple(names),
-        position,
-        _numbers(message.get("velocity")),
-        _numbers(message.get("effort", message.get("torque"))),
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=_time(stamp, logged)),
+        name=tuple(names),
+        position=position,
+        velocity=_numbers(message.get("velocity")),
+        effort=_numbers(message.get("effort", message.get("torque"))),
     )
 
 
-def _stamp(stamp: Any, logged: int) -> Stamp:
-    """Return the time of a message: its own, else that of logging [ns]."""
+def _time(stamp: Any, otherwise: int) -> Any:
+    """Return seconds and nanoseconds of a time, those of another [ns] if it is none."""
     if isinstance(stamp, Mapping):
         whole = next((stamp[key] for key in SECONDS if key in stamp), None)
         rest = next((stamp[key] for key in NANOSECONDS if key in stamp), 0)
         if isinstance(whole, int) and isinstance(rest, int):
-            return Stamp(whole, rest)
+            return SimpleNamespace(sec=whole, nanosec=rest)
     if isinstance(stamp, int | float) and not isinstance(stamp, bool) and np.isfinite(stamp):
         nanoseconds = round(stamp * 1e9)
-        return Stamp(nanoseconds // 10**9, nanoseconds % 10**9)
-    return Stamp(logged // 10**9, logged % 10**9)
+    else:
+        nanoseconds = otherwise
+    return SimpleNamespace(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 def _numbers(values: Any) -> Array:
@@ -247,8 +283,6 @@ FORMATS.register(
     "mcap",
     LogFormat(
         suffixes=(".mcap",),
-        read=lambda path, sheet: read_isolated(
-            read_mcap, path, topic=sheet.topic, command_topic=sheet.command_topic
-        ),
+        read=lambda path, sheet: read_isolated(read_mcap, path, **choices_of_topics(sheet)),
     ),
 )

@@ -1,0 +1,1 @@
+"""Logs of ROS: messages that hold joints, topics, the table of both, bags, echoed messages."""

@@ -1,0 +1,214 @@
+"""Table of joint states and of the commands that held at their times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.formats.ros.commands import in_force, read_commands
+from asbuilt.experiment.logs.formats.ros.messages import KINDS, JointMessage
+from asbuilt.experiment.logs.formats.ros.topics import Topics
+from asbuilt.findings import Cure
+
+FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
+
+
+def joint_table(
+    path: Path,
+    topics: Topics,
+    types: Mapping[str, str],
+    messages: Mapping[str, Sequence[tuple[int, Any]]],
+    *,
+    command_joints: Sequence[str] | None = None,
+    required: bool = False,
+) -> LogTable:
+    """Return the messages of the chosen topics as a table with one row for each joint state.
+
+    Joints are matched by name in every message; messages that name other joints than most are left
+    out. The command of a row is the last one that held by then.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    topics, types
+        The topics, and the types of the messages of each.
+    messages
+        Messages of each topic with the times [ns] at which they were logged.
+    command_joints
+        Joints of commands that do not name theirs, in order.
+    required
+        Whether the commands are needed; otherwise those that cannot be used are left out with a
+        note where the states have efforts.
+
+    Raises
+    ------
+    RecordingError
+        If there is neither an effort nor a command, or the commands cannot be used.
+    """
+    states = _states(path, topics, types, messages)
+    names = _usual_names(states)
+    kept = _naming(states, names)
+    notes: list[str] = []
+    try:
+        commands = read_commands(path, topics, types, messages, command_joints)
+        commanded, commands = _of_joints(path, topics, names, commands, command_joints or ())
+        stamps, sent, commands = _clocks(path, topics, kept, commands)
+    except RecordingError as problem:
+        if required or not any(each.effort.size for each in kept):
+            raise
+        notes.append(f"commands were left out: {problem.message}")
+        commanded, commands = (), []
+        stamps, sent, commands = _clocks(path, topics, kept, commands)
+    known: dict[str, tuple[str, str]] = {}
+    columns: dict[str, Array] = {"time": (stamps - stamps[0]).astype(np.float64) * 1e-9}
+    for field, quantity in FIELDS:
+        values = _values(kept, field, names)
+        if values is None:
+            continue
+        for k, name in enumerate(names):
+            columns[f"{name}/{field}"] = np.ascontiguousarray(values[:, k])
+            known[f"{name}/{field}"] = (quantity, name)
+    values = _values(commands, "position", commanded) if commands else None
+    if values is not None:
+        last = np.searchsorted(sent, stamps, side="right") - 1
+        if before := int(np.count_nonzero(last < 0)):
+            notes.append(f"{before} states before the first command count as commanded like it")
+        for k, name in enumerate(commanded):
+            columns[f"{name}/command"] = np.ascontiguousarray(values[np.maximum(last, 0), k])
+            known[f"{name}/command"] = ("command", name)
+    if not any(quantity in ("torque", "command") for quantity, _ in known.values()):
+        raise _without_commands(path, topics, names)
+    if dropped := len(states) - len(kept):
+        notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
+    return LogTable(source=str(path), columns=columns, known=known, notes=tuple(notes))
+
+
+def _states(
+    path: Path,
+    topics: Topics,
+    types: Mapping[str, str],
+    messages: Mapping[str, Sequence[tuple[int, Any]]],
+) -> list[JointMessage]:
+    """Return the states that hold positions; raises `RecordingError` if none does."""
+    read = KINDS[types[topics.states]].states if topics.states else None
+    states = [
+        each
+        for logged, message in (messages[str(topics.states)] if read else ())
+        for each in read(logged, message)  # type: ignore[misc]
+        if each.names
+    ]
+    if not states:
+        listing = ", ".join(sorted(types)) or "none"
+        raise RecordingError(
+            f"{path} is not a recording: no topic holds positions of joints (topics: {listing})",
+            cure=Cure("record the joint states' topic"),
+            file=str(path),
+        )
+    return states
+
+
+def _of_joints(
+    path: Path,
+    topics: Topics,
+    names: tuple[str, ...],
+    commands: list[JointMessage],
+    listed: Sequence[str],
+) -> tuple[tuple[str, ...], list[JointMessage]]:
+    """Return the joints of the states that are commanded, and the commands that name them all."""
+    if not commands:
+        return (), []
+    others = _usual_names(commands)
+    commanded = tuple(name for name in names if name in others)
+    unknown = [name for name in listed if name in others and name not in names]
+    if not commanded or unknown:
+        raise RecordingError(
+            f"{path}: the commands of {topics.commands} are those of {', '.join(others)}, and the"
+            f" joint states of {topics.states} those of {', '.join(names)}",
+            cure=Cure(
+                "name the topics that belong together, or the joints of the commands as the states"
+                " do, in a recording sheet: topic, command_topic, command_joints"
+            ),
+            file=str(path),
+            value=list(others),
+            expected=list(names),
+        )
+    return commanded, _naming(commands, commanded)
+
+
+def _without_commands(path: Path, topics: Topics, names: Sequence[str]) -> RecordingError:
+    several = topics.candidates if topics.commands is None else ()
+    said = f"{', '.join(several)} may each hold" if several else "no topic holds"
+    return RecordingError(
+        f"{path}: the joint states of {', '.join(names)} have no effort, and {said} their commands;"
+        " torques, currents or commanded positions are required",
+        cure=Cure('name the topic of the commands in a recording sheet: command_topic = "..."'),
+        file=str(path),
+        available=list(several),
+    )
+
+
+def _naming(states: list[JointMessage], names: Sequence[str]) -> list[JointMessage]:
+    """Return the messages that name all of these joints."""
+    wanted = set(names)
+    return [state for state in states if wanted <= set(state.names)]
+
+
+def _usual_names(states: list[JointMessage]) -> tuple[str, ...]:
+    """Return the joints of the most frequent kind of message that carries efforts."""
+    votes: dict[tuple[str, ...], int] = {}
+    for state in states:
+        weight = 1000 if state.effort.size == len(state.names) > 0 else 1
+        key = tuple(sorted(state.names))
+        votes[key] = votes.get(key, 0) + weight
+    best = max(votes, key=lambda key: (votes[key], len(key)))
+    return next(state.names for state in states if tuple(sorted(state.names)) == best)
+
+
+def _clocks(
+    path: Path, topics: Topics, states: list[JointMessage], commands: list[JointMessage]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], list[JointMessage]]:
+    """Return the times [ns] of states and commands by one clock, and the commands in their order.
+
+    It is that of the headers, unless one of them has none.
+    """
+    groups = [each for each in (states, commands) if each]
+    stamped = all(_is_stamped(each) for each in groups)
+    own, starts = (
+        np.array([each.stamp if stamped else each.logged for each in group], dtype=np.int64)
+        for group in (states, commands)
+    )
+    if not commands:
+        return own, starts, []
+    period = float(np.median(np.diff(own))) if own.size > 1 else 0.0
+    commands, sent = in_force(path, str(topics.commands), commands, starts, period)
+    return own, sent, commands
+
+
+def _is_stamped(messages: Sequence[JointMessage]) -> bool:
+    """Return whether the headers of messages have times, which differ as those of logging do."""
+    stamps = np.array([each.stamp for each in messages], dtype=np.int64)
+    distinct, logged = len(np.unique(stamps)), len({each.logged for each in messages})
+    unset = int(np.count_nonzero(stamps == 0))
+    return unset <= min(1, distinct - 1) and 2 * distinct >= logged
+
+
+def _values(states: list[JointMessage], field: str, names: tuple[str, ...]) -> Array | None:
+    values = np.full((len(states), len(names)), np.nan)
+    order: dict[tuple[str, ...], list[int]] = {}
+    for row, state in enumerate(states):
+        logged = getattr(state, field)
+        key = state.names
+        if len(logged) != len(key):
+            continue
+        if key not in order:
+            order[key] = [key.index(name) for name in names]
+        values[row] = logged[order[key]]
+    return None if np.all(np.isnan(values)) else values
