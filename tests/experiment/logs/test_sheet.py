@@ -116,3 +116,14 @@ def test_a_list_of_joints_is_not_ignored() -> None:
     with pytest.raises(RecordingError, match="lists the joints") as raised:
         find_layout("log", names, sheet=RecordingSheet(joints=["one", "two"]))
     assert '[joints] with "elbow"' in str(raised.value.cure)
+
+
+def test_gains_of_a_servo_need_its_commands():
+    columns = {"t": [0.0, 0.01], "q_1": [0.0, 0.1], "tau_1": [1.0, 2.0]}
+    with pytest.raises(RecordingError, match="no commanded positions, so that kp, deadband"):
+        read_recording(columns, torque_source="command", kp=20.0, deadband=0.01)
+    columns["q_command_1"] = [0.1, 0.2]
+    with pytest.raises(RecordingError, match="has torques beside its commands") as caught:
+        read_recording(columns, kp=20.0)
+    assert caught.value.cure.settings == {"torque_source": "command"}
+    assert read_recording(columns, kp=20.0, torque_source="command").servo.kp == (20.0,)

@@ -117,6 +117,8 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         servo = stated_servo(recording, sheet, options)
         if servo is not None:
             recording = driven_by_command(recording, servo)
+    if recording.servo is None:
+        _refuse_idle_servo(recording, options)
     if sheet.windows:
         inside = sheet.in_windows(recording.t, float(recording.t[0]))
         kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
@@ -126,6 +128,25 @@ def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOpt
         )
         recording = replace(kept, notes=(*kept.notes, note))
     return recording
+
+
+def _refuse_idle_servo(recording: Recording, options: ReadingOptions) -> None:
+    """Raise if options describe the servo of a recording that has none."""
+    given = [name for name in PER_JOINT if getattr(options, name) is not None]
+    if not given:
+        return
+    if recording.command is None:
+        problem = "has no commanded positions"
+        cure = Cure('name their columns in a recording sheet: [columns] command = ["..."]')
+    else:
+        problem = f"has torques beside its commands (source: {recording.torque_source})"
+        cure = Cure("use its commands in their place", settings={"torque_source": "command"})
+    raise RecordingError(
+        f"{recording.source} {problem}, so that {', '.join(given)} of a servo would have no effect",
+        cure=cure,
+        file=recording.source,
+        value=given,
+    )
 
 
 ABSENT = {"torque_limit": np.inf, "no_load_speed": np.inf, "goal_speed": np.inf, "lead": 0.0}
