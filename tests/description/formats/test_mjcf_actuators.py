@@ -134,9 +134,43 @@ def test_the_servo_moves_the_arm_as_mujocos_actuators_do() -> None:
     [
         ('<velocity name="v" joint="right 1" kv="3"/>', "actuators v are left out"),
         ('<position name="p" joint="right 1" kp="3" timeconst="0.1"/>', "actuators p are taken"),
+        (
+            '<position name="p" joint="right 1" kp="3"/><motor name="m" joint="right 1"/>',
+            "actuators p, m act on one joint",
+        ),
     ],
 )
 def test_actuators_that_a_model_does_not_hold_are_noted(actuator: str, said: str) -> None:
     text = SCENE.replace('<motor name="d" joint="right 1" class="slow"/>', actuator)
     assert any(said in note for note in read_mjcf(text).notes)
     assert not any("actuators" in note for note in read_mjcf(SCENE).notes)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "gains"),
+    [
+        ('<position class="big" joint="left 1" inheritrange="1"/>', (60.0, 3.0, 15.0)),
+        ('<position jointinparent="left 1" kp="10" kv="1"/>', (10.0, 1.0, np.inf)),
+        ('<position joint="left 1" kp="10" gear="-3" forcerange="-2 1"/>', (90.0, 0.0, 6.0)),
+        (
+            '<general joint="left 1" gainprm="20" biastype="affine" biasprm="0 -20 -1"'
+            ' forcerange="-3 3"/>',
+            (20.0, 1.0, 3.0),
+        ),
+    ],
+)
+def test_gains_are_those_of_mujocos_forces(actuator: str, gains: tuple[float, ...]) -> None:
+    text = SCENE[: SCENE.index("<actuator>")] + f"<actuator>{actuator}</actuator></mujoco>"
+    joint, scene = read_mjcf(text).joints[0], compiled(text)
+    assert (joint.drive.kp, joint.drive.kd, joint.limits.torque) == gains
+    data = mujoco.MjData(scene)
+
+    def torque(control: float, position: float, speed: float) -> float:
+        data.ctrl[:], data.qpos[0], data.qvel[0] = control, position, speed
+        mujoco.mj_forward(scene, data)
+        return float(data.qfrc_actuator[0])
+
+    found = (-1e3 * torque(0, 1e-3, 0), -1e3 * torque(0, 0, 1e-3))
+    np.testing.assert_allclose(found, gains[:2], atol=1e-9)
+    if np.isfinite(gains[2]):
+        assert max(abs(torque(sign * 1e4, 0, 0)) for sign in (1, -1)) == pytest.approx(gains[2])

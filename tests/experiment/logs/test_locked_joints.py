@@ -169,3 +169,18 @@ def test_an_arm_with_one_more_joint_is_identified_without_it(tmp_path: Path) -> 
     model, ((read,),) = fitted_recordings(robot, [[path]])
     assert model.locked_joints == {"drive_joint": 0.0}
     assert read.joint_names == arm.joint_names
+
+
+def test_joints_that_are_named_leave_those_that_a_log_counts(hand: RobotModel) -> None:
+    t, arm = np.arange(300) / 100.0, bundled_robot("ur10e")
+    columns = {"t": t} | {f"q_{k}": np.sin(k * t) for k in range(1, 6)}
+    columns |= {f"tau_{k}": np.cos(k * t) for k in range(1, 6)}
+    with pytest.raises(RecordingError, match="can be locked: wrist_3_joint"):
+        fitted_recordings(arm, [[columns]])
+    named = ReadingOptions(lock="shoulder_pan_joint")
+    model, ((recording,),) = fitted_recordings(arm, [[columns]], named)
+    assert model.joint_names == arm.joint_names[1:]
+    assert recording.q[:, -1] == pytest.approx(np.sin(5 * t))
+    fingers = ReadingOptions(lock="shoulder_pan_joint,finger_left,finger_right")
+    model, _ = fitted_recordings(hand, [[columns]], fingers)
+    assert model.joint_names == arm.joint_names[1:]

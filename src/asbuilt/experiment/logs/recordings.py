@@ -131,7 +131,7 @@ def fitted_recordings(
             ]
             logged = [[_joints_of(item, model) for item in items] for items in read]
         except RecordingError as problem:
-            missing = problem.fields.get("missing")
+            missing = _named_ones(problem, model, asked) or problem.fields.get("missing")
             if not missing:
                 raise
             model = model.locked({name: asked.get(name) for name in missing})
@@ -161,6 +161,17 @@ def _locks(items: Sequence[Any], options: ReadingOptions) -> dict[str, float | N
             found |= find_sheet(Path(item), options.sheet)[0].lock
     lock = options.lock
     return found | (dict(lock) if isinstance(lock, Mapping) else {})
+
+
+def _named_ones(
+    problem: RecordingError, model: RobotModel, asked: Mapping[str, float | None]
+) -> tuple[str, ...]:
+    """Return the joints to lock if the log, which counts its joints, has all others."""
+    named = tuple(name for name in model.joint_names if name in asked)
+    labels = problem.fields.get("value")
+    count = len(labels) if isinstance(labels, list) else labels
+    fits = problem.fields.get("expected") in (model.n_joints, list(model.joint_names))
+    return named if fits and count == model.n_joints - len(named) else ()
 
 
 def _joints_of(item: Recorded, model: RobotModel) -> tuple[str, ...]:

@@ -19,11 +19,12 @@ class Actuators:
 
     def of(self, joint: int) -> list[int]:
         """Return the actuators that act on a joint."""
-        m, kind = self.model, self.mujoco.mjtTrn.mjTRN_JOINT
+        m, kinds = self.model, self.mujoco.mjtTrn
+        own = (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))  # alike but for balls
         return [
             actuator
             for actuator in range(m.nu)
-            if m.actuator_trntype[actuator] == kind and m.actuator_trnid[actuator, 0] == joint
+            if m.actuator_trntype[actuator] in own and m.actuator_trnid[actuator, 0] == joint
         ]
 
     def torque_limit(self, joint: int) -> float:
@@ -100,6 +101,13 @@ class Actuators:
         ):
             if some:
                 yield f"the actuators {', '.join(map(self._name, some))} are {said}"
+        for joint in range(m.njnt):
+            several = [k for k in self.of(joint) if k in held]
+            if len(several) > 1:
+                yield (
+                    f"the actuators {', '.join(map(self._name, several))} act on one joint: the"
+                    " gains of the first servo and the least limit count"
+                )
 
     def _name(self, actuator: int) -> str:
         kind = self.mujoco.mjtObj.mjOBJ_ACTUATOR
