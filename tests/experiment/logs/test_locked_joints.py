@@ -16,7 +16,7 @@ from asbuilt.description.model import Joint, JointLimits, Link, Mimic, RobotMode
 from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.joint_matching import joints_without_label
+from asbuilt.experiment.logs.columns.joint_matching import joints_without_label
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.recordings import fitted_recordings
 from asbuilt.experiment.quality.checks import check_recording

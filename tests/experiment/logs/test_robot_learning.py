@@ -167,6 +167,88 @@ def test_a_lerobot_dataset_is_read_once_its_unit_is_said(tmp_path):
     assert np.count_nonzero(steps > 1.0) == 1
 
 
+GRIPPER = """<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><mass value="1"/><origin xyz="0.1 0 0"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="jaw"><inertial><mass value="0.1"/><origin xyz="0 0.01 0"/>
+<inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="elbow" type="revolute"><parent link="base"/><child link="upper"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="5" velocity="5"/></joint>
+<joint name="gripper" type="revolute"><parent link="upper"/><child link="jaw"/>
+<axis xyz="0 0 1"/><limit lower="0" upper="1.7" effort="5" velocity="5"/></joint></robot>"""
+
+
+def with_gripper(folder, third=False):
+    """Write a dataset of v2 or v3 with degrees, a gripper from 0 to 100, and a velocity."""
+    (folder / "meta").mkdir(parents=True)
+    data = folder / "data" / "chunk-000"
+    data.mkdir(parents=True)
+    names = ["elbow.pos", "gripper.pos", "elbow.vel"]
+    features = {
+        "observation.state": {"names": names if third else {"motors": names}, "shape": [3]},
+        "action": {"names": names[:2], "shape": [2]},
+    }
+    version = "v3.0" if third else "v2.1"
+    info = {"codebase_version": version, "fps": 30, "features": features}
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    rows = {
+        "observation.state": [[90.0 - k, 5.0 * k, 7.0] for k in range(20)],
+        "action": [[80.0 - k, 100.0 - 5.0 * k] for k in range(20)],
+        "timestamp": np.arange(20, dtype="f4") / 30,
+        "frame_index": list(range(20)),
+        "episode_index": [0] * 20,
+    }
+    file = data / ("file-000.parquet" if third else "episode_000000.parquet")
+    pl.DataFrame(rows).write_parquet(file)
+    return folder
+
+
+@pytest.mark.parametrize("third", [False, True])
+def test_the_unit_of_a_gripper_is_asked_for(tmp_path, third):
+    folder = with_gripper(tmp_path / "set", third)
+    (tmp_path / "arm.urdf").write_text(GRIPPER)
+    model, degrees = load_robot(tmp_path / "arm.urdf"), {"units": {"position": "deg"}}
+    with pytest.raises(RecordingError, match="gripper, which runs from 0 to 95, is not") as caught:
+        read_recording(folder, model=model, sheet=degrees)
+    assert "[joint_units] gripper = { logged" in str(caught.value.cure)
+    share = {"gripper": {"logged": [0, 100], "position": [-0.2, 1.8]}}
+    recording = read_recording(folder, model=model, sheet={**degrees, "joint_units": share})
+    rows = np.arange(20.0)
+    assert recording.q[:, 0] == pytest.approx(np.radians(90.0 - rows))
+    assert recording.command[:, 0] == pytest.approx(np.radians(80.0 - rows))
+    assert recording.q[:, 1] == pytest.approx(-0.2 + 0.1 * rows)
+    assert recording.command[:, 1] == pytest.approx(1.8 - 0.1 * rows)
+    assert any("observation.state elbow.vel" in note for note in recording.notes)
+    held = read_recording(folder, model=model, sheet=degrees, lock="gripper=0.3")
+    assert held.q[:, 0] == pytest.approx(np.radians(90.0 - rows))
+    with pytest.raises(RecordingError, match="unit of gripper"):
+        read_recording(folder, model=model, sheet=degrees, lock="gripper")
+    alone = read_recording(folder, model=model.locked(["gripper"]), sheet=degrees)
+    assert alone.joint_names == ("elbow",)
+
+
+def test_shares_of_a_range_are_converted_joint_by_joint(tmp_path):
+    folder, ends = with_gripper(tmp_path / "set"), {"logged": [-100, 100], "position": [-2, 2]}
+    with pytest.raises(RecordingError, match="largest of elbow is 90"):
+        read_recording(folder, sheet={"joint_units": {"gripper": "deg"}})
+    sheet = {"joint_units": {"gripper": "deg", "elbow": ends}}
+    recording = read_recording(folder, sheet=sheet)
+    assert recording.q[0] == pytest.approx([1.8, 0.0])
+    assert recording.command[0] == pytest.approx([1.6, np.radians(100.0)])
+    with pytest.raises(RecordingError, match="gives units of wrist"):
+        read_recording(folder, sheet={"joint_units": {**sheet["joint_units"], "wrist": "deg"}})
+    for bad, said in ((ends | {"logged": [1, 1]}, "no extent"), ("furlong", "is not known")):
+        (tmp_path / "sheet.toml").write_text(f"[joint_units]\nelbow = {toml(bad)}\n")
+        with pytest.raises(RecordingError, match=said):
+            read_recording(folder, sheet=tmp_path / "sheet.toml")
+
+
+def toml(value):
+    if isinstance(value, str):
+        return f'"{value}"'
+    return "{ " + ", ".join(f"{name} = {each}" for name, each in value.items()) + " }"
+
+
 def test_recordings_of_real_robots_with_commands_are_read():
     data, models = SHARED / "data", SHARED / "models"
     if not data.is_dir():
@@ -179,7 +261,10 @@ def test_recordings_of_real_robots_with_commands_are_read():
     )
     assert (log.n_samples, model.n_joints) == (4698, 12)
     assert log.rate == pytest.approx(200.0, rel=1e-3)
-    arm = read_recording(data / "so101_sage" / "multisine")
+    jaw = {"joint_units": {"Jaw": {"logged": [0, 1], "position": [-0.17, 1.75]}}}
+    with pytest.raises(RecordingError, match="the unit of Jaw"):
+        read_recording(data / "so101_sage" / "multisine")
+    arm = read_recording(data / "so101_sage" / "multisine", sheet=jaw)
     assert arm.command.shape == arm.q.shape == (6000, 6)
 
 

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.joint_matching import match_joints
-from asbuilt.experiment.logs.roles import quantity_of_file, recognise, unit_scale
+from asbuilt.experiment.logs.columns.joint_matching import match_joints
+from asbuilt.experiment.logs.columns.roles import quantity_of_file, recognise, unit_scale
 
 
 @pytest.mark.parametrize(

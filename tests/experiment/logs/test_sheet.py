@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.layout import find_layout
+from asbuilt.experiment.logs.columns.layout import find_layout
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
 

@@ -13,8 +13,8 @@ from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.magnitude import signed_by_command
 from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.logs.columns.layout import Layout
 from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.logs.layout import Layout
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
@@ -61,7 +61,7 @@ def build_recording(
     else:
         t = np.arange(first_sample, first_sample + table.n_samples, dtype=np.float64) / rate
     arrays = {
-        quantity: _stacked(table.columns, names, layout.scales)
+        quantity: _stacked(table.columns, names, layout)
         for quantity, names in layout.quantities.items()
     }
     q, command = arrays.pop("position"), arrays.pop("command", None)
@@ -260,14 +260,14 @@ def clock_origin(t: Array) -> float:
     return float(finite[0]) if finite.size and abs(finite[0]) > CALENDAR else 0.0
 
 
-def _stacked(
-    columns: Mapping[str, Array], names: tuple[str, ...], scales: Mapping[str, float]
-) -> Array:
+def _stacked(columns: Mapping[str, Array], names: tuple[str, ...], layout: Layout) -> Array:
     out = np.empty((columns[names[0]].size, len(names)))
     for k, name in enumerate(names):
-        factor = scales.get(name, 1.0)
+        factor = layout.scales.get(name, 1.0)
         if factor == 1.0:
             out[:, k] = columns[name]
         else:
             np.multiply(columns[name], factor, out=out[:, k])
+        if layout.offsets.get(name):
+            out[:, k] += layout.offsets[name]
     return out

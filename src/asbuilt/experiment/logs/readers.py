@@ -10,19 +10,20 @@ from typing import Any
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
-from asbuilt.experiment.logs.formats.frames import is_columns, table_of_columns
-from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
-from asbuilt.experiment.logs.layout import Layout, find_layout
-from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
-from asbuilt.experiment.logs.role_files import merge_role_files, role_groups
-from asbuilt.experiment.logs.roles import (
+from asbuilt.experiment.logs.columns.joint_units import with_joint_units
+from asbuilt.experiment.logs.columns.layout import Layout, find_layout
+from asbuilt.experiment.logs.columns.roles import (
     commanded,
     goal_of_position,
     quantity_of_file,
     recognise,
 )
+from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
+from asbuilt.experiment.logs.formats.frames import is_columns, table_of_columns
+from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
+from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
+from asbuilt.experiment.logs.role_files import merge_role_files, role_groups
 from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
-from asbuilt.experiment.logs.unnamed_columns import DRAFT, suggest_sheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
@@ -157,12 +158,13 @@ def layout_of(
     Raises
     ------
     RecordingError
-        As `find_layout` does, and for columns without names that no sheet describes.
+        As `find_layout` and `with_joint_units` do, and for columns without names that no sheet
+        describes.
     """
     if not table.named and sheet.columns.position is None:
         raise _unnamed_columns(table, model, options.rate)
     try:
-        return find_layout(
+        layout = find_layout(
             table.source,
             tuple(table.columns),
             model=model,
@@ -178,6 +180,10 @@ def layout_of(
         if "absent" in problem.fields and table.n_samples:
             problem.cure = Cure(f"{problem.cure}{_draft(table, model, options.rate)}")
         raise
+    if not (sheet.joint_units or table.shares):
+        return layout
+    held = options.lock if isinstance(options.lock, Mapping) else {}
+    return with_joint_units(table, layout, sheet, sheet.lock | dict(held))
 
 
 def _given_sheet(

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.roles import quantity_of_file, recognise
 from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.logs.roles import quantity_of_file, recognise
 from asbuilt.findings import Cure
 
 _QUANTITIES = {"position", "velocity", "acceleration", "torque"}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.roles import unit_scale
+from asbuilt.experiment.logs.columns.roles import unit_scale
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.untrusted import parsed_toml, read_text, reason
 
@@ -107,6 +107,27 @@ class SheetUnits(_Part):
         return self
 
 
+class SheetRange(_Part):
+    """Positions [rad or m] of a joint at two numbers of the log, such as those of 0 and 100."""
+
+    logged: tuple[FiniteNumber, FiniteNumber]
+    position: tuple[FiniteNumber, FiniteNumber]
+
+    @model_validator(mode="after")
+    def _wide(self) -> SheetRange:
+        for name, (first, last) in (("logged", self.logged), ("position", self.position)):
+            if first == last:
+                raise ValueError(f"joint_units: {name} = [{first:g}, {last:g}] has no extent")
+        return self
+
+
+def _known_unit(unit: object) -> object:
+    """Refuse the text of an unknown unit."""
+    if isinstance(unit, str) and unit_scale(unit) is None:
+        raise ValueError(f"joint_units: {unit!r} is not known; write rad, deg, mrad, m or mm")
+    return unit
+
+
 class SheetWindow(_Part):
     """A segment of the recording to keep [s], counted from its first sample."""
 
@@ -144,10 +165,11 @@ class RecordingSheet(_Part):
     names joints that are not identified, with their positions [rad or m] if these are known.
     `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
     of the log. `kp`, `kd` and the limits are those of the position servo, "auto" if unknown; of
-    the acceleration and the speed of its goal also "none". `topic` and `command_topic` are those
-    of the joint states and of the commanded ones in a bag, and `command_joints` the joints of
-    commands that are numbers alone, in their order.
-    `date` is when the recording began, in UTC unless it names a time zone.
+    the acceleration and the speed of its goal also "none". `joint_units` are those of single
+    joints, in place of `units`: a unit, or the positions at two numbers of the log. `topic` and
+    `command_topic` are those of the joint states and of the commanded ones in a bag, and
+    `command_joints` the joints of commands that are numbers alone, in their order. `date` is when
+    the recording began, in UTC unless it names a time zone.
 
     Examples
     --------
@@ -176,6 +198,9 @@ class RecordingSheet(_Part):
     goal_speed: GoalNumbers = None
     columns: SheetColumns = SheetColumns()
     units: SheetUnits = SheetUnits()
+    joint_units: dict[str, Annotated[str | SheetRange, BeforeValidator(_known_unit)]] = Field(
+        default_factory=dict
+    )
     windows: list[SheetWindow] = Field(default_factory=list)
     files: SheetFiles = SheetFiles()
     lock: Annotated[dict[str, FiniteNumber | None], BeforeValidator(_without_values)] = Field(
@@ -288,6 +313,7 @@ def _fields_at(location: tuple[int | str, ...]) -> list[str]:
         "units": SheetUnits,
         "windows": SheetWindow,
         "files": SheetFiles,
+        "joint_units": SheetRange,
     }
     model = models.get(str(location[0]), RecordingSheet) if location else RecordingSheet
     return list(model.model_fields)

@@ -47,6 +47,9 @@ class LogTable:
     order
         Names of all columns in the order of the file, those of text too, by which a sheet numbers
         them; by default the numeric ones.
+    shares
+        Columns of positions and commands that may be shares of a range, so that the sheet has to
+        give their unit.
     """
 
     source: str
@@ -56,6 +59,7 @@ class LogTable:
     known: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     order: tuple[str, ...] = ()
+    shares: tuple[str, ...] = ()
 
     @property
     def n_samples(self) -> int:

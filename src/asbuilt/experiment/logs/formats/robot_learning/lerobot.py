@@ -12,6 +12,7 @@ import polars as pl
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.joint_units import names_gripper, with_open_grippers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -20,6 +21,8 @@ from asbuilt.untrusted import check_regular, reason
 
 INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"
+OTHERS = (".vel", ".acc", ".effort", ".torque", ".current", ".load", ".temp")
+"""Ends of features that are no positions; their units are not known either."""
 LARGEST = 1e9
 """Bytes of the largest file of a dataset that is read."""
 GAP = 10.0
@@ -39,25 +42,32 @@ def read_lerobot(path: Path) -> LogTable:
     if not files:
         raise RecordingError(f"{path} has no Parquet file under data/", file=str(path))
     frame = _frame(files)
-    names = {field: _names(path, info, field) for field in (STATE, ACTION) if field in frame}
-    if STATE not in names:
+    if STATE not in frame:
         raise RecordingError(
             f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
         )
     columns: dict[str, Array] = {"time": _times(frame, info)}
     known: dict[str, tuple[str, str]] = {}
-    for field, joints in names.items():
+    left_out: list[str] = []
+    for field in (each for each in (STATE, ACTION) if each in frame):
+        names = _names(path, info, field)
+        values = _matrix(path, field, frame[field], len(names))
         quantity = "position" if field == STATE else "command"
-        values = _matrix(path, field, frame[field], len(joints))
-        for k, joint in enumerate(joints):
+        for k, name in enumerate(names):
+            if name.endswith(OTHERS):
+                left_out.append(f"{field} {name}")
+                continue
+            joint = name.removesuffix(".pos").removeprefix("main_")
             column = f"{joint}/{quantity}"
             columns[column] = np.ascontiguousarray(values[:, k])
             known[column] = (quantity, joint)
-    note = (
+    notes = [
         "LeRobot datasets do not say their unit, degrees or -100 to 100 of the calibrated range:"
         " it was taken from the recording sheet"
-    )
-    return LogTable(source=str(path), columns=columns, known=known, notes=(note,))
+    ]
+    if left_out:
+        notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
+    return LogTable(source=str(path), columns=columns, known=known, notes=tuple(notes))
 
 
 def is_lerobot(path: Path) -> bool:
@@ -94,7 +104,7 @@ def _frame(files: Sequence[Path]) -> pl.DataFrame:
 
 
 def _names(path: Path, info: Mapping[str, Any], field: str) -> tuple[str, ...]:
-    """Return the joints of a feature, without the suffix that says position."""
+    """Return the names of the numbers of a feature."""
     feature = info["features"].get(field, {})
     names = feature.get("names")
     if isinstance(names, dict):
@@ -104,7 +114,7 @@ def _names(path: Path, info: Mapping[str, Any], field: str) -> tuple[str, ...]:
         names = [f"joint_{k + 1}" for k in range(int(count))]
     if not names:
         raise RecordingError(f"{path} does not name the joints of {field}", file=str(path))
-    return tuple(name.removesuffix(".pos").removeprefix("main_") for name in names)
+    return tuple(names)
 
 
 def _times(frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
@@ -132,24 +142,35 @@ def _matrix(path: Path, field: str, cells: pl.Series, n_joints: int) -> Array:
 
 
 def _with_unit(table: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
-    """Return the table if its sheet says the unit; raises `RecordingError` otherwise."""
-    if sheet.units.position is None:
-        largest = max(
-            float(np.nanmax(np.abs(values)))
-            for name, values in table.columns.items()
-            if name.endswith("/position")
-        )
+    """Return the table if its sheet says the units; raises `RecordingError` otherwise.
+
+    That of grippers, which is another one, is left to the joints that the robot has.
+    """
+    renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
+    positions = {
+        joint: table.columns[column]
+        for column, (quantity, joint) in table.known.items()
+        if quantity == "position" and not names_gripper(joint)
+    }
+    unsaid = [
+        joint
+        for joint in positions
+        if not {joint, renamed.get(joint, joint)} & set(sheet.joint_units)
+    ]
+    if sheet.units.position is None and unsaid:
+        largest = max(float(np.nanmax(np.abs(positions[joint]))) for joint in unsaid)
         raise RecordingError(
             f"the unit of the positions of {path} is not known: LeRobot logs degrees or -100 to"
-            f" 100 of the calibrated range (the largest here is {largest:.3g})",
+            f" 100 of the calibrated range (the largest of {', '.join(unsaid)} is {largest:.3g})",
             cure=Cure(
-                'write [units] position = "deg" and command = "deg" in a recording sheet; -100 to'
-                " 100 has to be converted with the calibration first"
+                'write [units] position = "deg" in a recording sheet; or, for -100 to 100, the'
+                f" positions [rad] at both ends for each joint: [joint_units] {unsaid[0]} ="
+                " { logged = [-100, 100], position = [LOWER, UPPER] }"
             ),
             file=str(path),
             value=largest,
         )
-    return table
+    return with_open_grippers(table)
 
 
 FORMATS.register(

@@ -10,6 +10,7 @@ import polars as pl
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.findings import Cure
@@ -101,7 +102,7 @@ FORMATS.register(
     "sage",
     LogFormat(
         suffixes=(),
-        read=lambda path, sheet: read_isolated(read_sage, path),
+        read=lambda path, sheet: with_open_grippers(read_isolated(read_sage, path)),
         folders=True,
         recognises=is_sage,
     ),

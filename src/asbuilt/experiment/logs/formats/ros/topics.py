@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.roles import names_command, words_of
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
     CONTROLLER_STATE,
@@ -14,7 +15,6 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     KINDS,
     TRAJECTORY,
 )
-from asbuilt.experiment.logs.roles import names_command, words_of
 from asbuilt.findings import Cure
 
 _NOT_POSITIONS = {

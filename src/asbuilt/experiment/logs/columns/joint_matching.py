@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.roles import words_of
+from asbuilt.experiment.logs.columns.roles import words_of
 from asbuilt.findings import Cure
 
 _GENERIC = {"joint", "joints", "jnt", "j", "axis", "link"}

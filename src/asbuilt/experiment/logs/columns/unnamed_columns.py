@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.logs.roles import unit_scale
+from asbuilt.experiment.logs.columns.roles import unit_scale
 
 CLEAR_LOAD = 0.5
 """Correlation with gravity's torque from which a group is taken for torques."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.joint_matching import (
+from asbuilt.experiment.logs.columns.joint_matching import (
     joints_without_label,
     match_joints,
     numbers_in,
 )
-from asbuilt.experiment.logs.roles import (
+from asbuilt.experiment.logs.columns.roles import (
     Role,
     commanded,
     goal_of_position,
@@ -43,7 +43,8 @@ class Layout:
     """Columns of each quantity in joint order, and the factor of each column to SI.
 
     `quantities` has position, torque or command, and velocity, acceleration, and extras such as
-    `tau_ext` where the log has them. `nanoseconds` is a column to add to the time.
+    `tau_ext` where the log has them. `nanoseconds` is a column to add to the time, `offsets` are
+    added to columns in SI.
     """
 
     time: str | None
@@ -53,6 +54,7 @@ class Layout:
     torque_source: TorqueSource = "unknown"
     notes: tuple[str, ...] = ()
     nanoseconds: str | None = None
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def columns(self) -> list[str]:
@@ -575,6 +577,8 @@ def _scales(
     scales: dict[str, float] = {}
     for quantity, group in chosen.items():
         unit = getattr(sheet.units, quantity, None)
+        if quantity == "command" and unit is None and not any(role.unit for role in group.roles):
+            unit = sheet.units.position
         for name, role in zip(group.names, group.roles, strict=True):
             scales[name] = role.scale if unit is None else unit_scale(unit) or 1.0
         units = {role.unit for role in group.roles if role.scale != 1.0}

@@ -1,0 +1,116 @@
+"""Units of single joints: grippers that are logged as shares of their range, among angles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.layout import Layout
+from asbuilt.experiment.logs.columns.roles import unit_scale, words_of
+from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.sheet import RecordingSheet, SheetRange
+from asbuilt.findings import Cure
+
+GRIPPERS = {"gripper", "grippers", "jaw", "jaws", "finger", "fingers"}
+"""Words in the name of a joint that is often logged as a share of its range."""
+_OF_POSITION = ("position", "command")
+_OF_RATE = ("velocity", "acceleration")
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """Turn a number of the log into SI: `factor * number + offset`."""
+
+    factor: float
+    offset: float = 0.0
+
+
+def with_open_grippers(table: LogTable) -> LogTable:
+    """Return the table with the unit of joints that a gripper's word names left open."""
+    open_ones = tuple(
+        column
+        for column, (quantity, joint) in table.known.items()
+        if quantity in _OF_POSITION and names_gripper(joint)
+    )
+    return replace(table, shares=open_ones)
+
+
+def names_gripper(joint: str) -> bool:
+    """Return whether the name of a joint is that of a gripper.
+
+    >>> [names_gripper(each) for each in ("left_gripper", "Jaw", "wrist_roll")]
+    [True, True, False]
+    """
+    return bool(GRIPPERS & set(words_of(joint)))
+
+
+def with_joint_units(
+    table: LogTable, layout: Layout, sheet: RecordingSheet, held: Mapping[str, float | None]
+) -> Layout:
+    """Return the layout with the units that the sheet gives single joints.
+
+    `held` are joints that are locked, with their positions if these are given.
+
+    Raises
+    ------
+    RecordingError
+        If the sheet names a joint that the log lacks, or not the unit of one that the format leaves
+        open.
+    """
+    renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
+    units = {renamed.get(name, name): unit for name, unit in sheet.joint_units.items()}
+    unknown = [name for name in units if name not in layout.joint_names]
+    logged = {joint for _, joint in table.known.values()} | set(renamed.values())
+    if unknown and not set(unknown) <= logged:
+        raise RecordingError(
+            f"{table.source}: the sheet gives units of {', '.join(unknown)}, and the joints are"
+            f" {', '.join(layout.joint_names)}",
+            file=table.source,
+            value=unknown,
+            available=list(layout.joint_names),
+        )
+    scales, offsets = dict(layout.scales), dict(layout.offsets)
+    for k, joint in enumerate(layout.joint_names):
+        if joint not in units:
+            _refuse_open(table, layout, k, held)
+            continue
+        conversion = _conversion(units[joint])
+        for quantity, columns in layout.quantities.items():
+            if quantity in _OF_POSITION:
+                scales[columns[k]] = conversion.factor
+                offsets[columns[k]] = conversion.offset
+            elif quantity in _OF_RATE:
+                scales[columns[k]] = conversion.factor
+    return replace(layout, scales=scales, offsets=offsets)
+
+
+def _conversion(unit: str | SheetRange) -> Conversion:
+    if isinstance(unit, str):
+        return Conversion(unit_scale(unit) or 1.0)
+    (first, last), (lower, upper) = unit.logged, unit.position
+    factor = (upper - lower) / (last - first)
+    return Conversion(factor, lower - factor * first)
+
+
+def _refuse_open(table: LogTable, layout: Layout, k: int, held: Mapping[str, float | None]) -> None:
+    """Raise if the unit of a joint is open, unless it is held at a position that is given."""
+    joint, column = layout.joint_names[k], layout.quantities["position"][k]
+    if column not in table.shares or held.get(joint) is not None:
+        return
+    values = table.columns[column]
+    first, last = float(np.nanmin(values)), float(np.nanmax(values))
+    raise RecordingError(
+        f"{table.source}: the unit of {joint}, which runs from {first:.3g} to {last:.3g}, is not"
+        " known: grippers are mostly logged as shares of their range, 0 to 100 or 0 to 1, beside"
+        " angles of other joints",
+        cure=Cure(
+            "write its positions [rad or m] at the ends of the scale in a recording sheet:"
+            f" [joint_units] {joint} = {{ logged = [0, 100], position = [CLOSED, OPEN] }}, or"
+            f' {joint} = "deg"; or hold it at a position [rad or m]: --lock {joint}=VALUE'
+        ),
+        file=table.source,
+        value=joint,
+    )
