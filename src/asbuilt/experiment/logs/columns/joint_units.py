@@ -109,7 +109,8 @@ def _refuse_open(table: LogTable, layout: Layout, k: int, held: Mapping[str, flo
         cure=Cure(
             "write its positions [rad or m] at the ends of the scale in a recording sheet:"
             f" [joint_units] {joint} = {{ logged = [0, 100], position = [CLOSED, OPEN] }}, or"
-            f' {joint} = "deg"; or hold it at a position [rad or m]: --lock {joint}=VALUE'
+            f' {joint} = "deg"; or hold it at a position [rad or m]',
+            settings={"lock": f"{joint}=VALUE"},
         ),
         file=table.source,
         value=joint,
