@@ -166,17 +166,19 @@ class Objective:
             found.append(1.0 / np.stack([error, speed]))
         return tuple(found)
 
-    def motions(self, point: Point) -> list[Motion]:
-        """Simulate all windows."""
+    def motions(self, point: Point, some: Sequence[Indices] | None = None) -> list[Motion]:
+        """Simulate all windows, or `some` of each recording."""
         cuts = [
             replace(cut, start_q=start[:, 0], start_qd=start[:, 1])
             for cut, start in zip(self.windows, point.starts, strict=True)
         ]
+        if some is not None:
+            cuts = [cut.some(at) for cut, at in zip(cuts, some, strict=True)]
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         parts = [
             (k, slice(a, b))
-            for k, cut in enumerate(self.windows)
-            for a, b in _shares(cut.n_windows)
+            for k, cut in enumerate(cuts)
+            for a, b in _shares(cut.n_windows) or [(0, 0)]
         ]
 
         def one(part: tuple[int, slice]) -> Motion:
@@ -198,13 +200,27 @@ class Objective:
 
     def cost(self, point: Point, motions: Sequence[Motion], weights: Weights) -> float:
         """Return half the weighted squares of everything; infinite if a simulation diverges."""
-        total = 0.0
-        for error, of_window in zip(self.errors(motions), weights.windows, strict=True):
-            square = np.sum(error**2, axis=1) @ weights.joints
-            total += 0.5 * float(of_window @ square)
-        return total + self._other_cost(point) if np.isfinite(total) else np.inf
+        total = float(sum(np.sum(each) for each in self.window_costs(point, motions, weights)))
+        return total + self.other_cost(point) if np.isfinite(total) else np.inf
 
-    def _other_cost(self, point: Point) -> float:
+    def window_costs(
+        self, point: Point, motions: Sequence[Motion], weights: Weights
+    ) -> list[Array]:
+        """Return the part of the cost that belongs to each window (W,), its start included."""
+        return [
+            0.5 * of_window * (np.sum(error**2, axis=1) @ weights.joints)
+            + 0.5 * np.sum(weight * off**2, axis=(1, 2))
+            for error, of_window, weight, off in zip(
+                self.errors(motions),
+                weights.windows,
+                self.start_weights,
+                self._starts_moved(point),
+                strict=True,
+            )
+        ]
+
+    def other_cost(self, point: Point) -> float:
+        """Return the part of the cost that belongs to no window."""
         _, rest = self._torque_rows(point)
         ridge = self._ridge()
         moved = self._away(point)
@@ -213,8 +229,6 @@ class Objective:
             total += (
                 0.5 * self.belief * float(self.prior.strength @ self.prior.divergence(point.chi))
             )
-        for weight, off in zip(self.start_weights, self._starts_moved(point), strict=True):
-            total += 0.5 * float(np.sum(weight * off**2))
         return total
 
     def _starts_moved(self, point: Point) -> list[Array]:

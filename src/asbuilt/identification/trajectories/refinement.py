@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.errors.between_recordings import FEWEST_RECORDINGS
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
@@ -18,10 +19,10 @@ class Steps:
     """Say how the search goes: own choices, tested on real and virtual robots.
 
     At most `rounds` of weights follow one another, until they are the `same` but for that factor
-    (logarithm), each with at most `most` steps; a round ends when the
-    quadratic model promises to lower the cost by less than `settled`, in units of the logarithmic
-    likelihood, and by less than that for each number of the starts of windows, or if a step
-    lowered it by less. `damping` is the first relative damping.
+    (logarithm), each with at most `most` steps; a round ends when the quadratic model promises to
+    lower the cost by less than `roughly`, the last round by less than `settled`, in units of the
+    logarithmic likelihood, and by less than that for each number of the starts of windows, or if a
+    step lowered it by less. `damping` is the first relative damping.
     Windows whose error is beyond `outlying` times the `usual` quantile count no more than if it
     were that (a bounded influence, for contact and servo limits).
     """
@@ -29,6 +30,7 @@ class Steps:
     rounds: int = 6
     same: float = 0.2
     most: int = 12
+    roughly: float = 1.0
     settled: float = 0.01
     damping: float = 1e-3
     strongest: float = 1e6
@@ -37,6 +39,12 @@ class Steps:
 
 
 STEPS = Steps()
+KEPT = (0.7, 1.0)
+"""Parts of their old start that windows keep which spoil a step, tried in turn."""
+FEW = 0.25
+"""Largest share of windows that count as few."""
+LARGEST_RISE = 1e12
+"""What the cost of a window that diverges counts as, in units of the logarithmic likelihood."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +86,17 @@ def _refined(
     for number in range(steps.rounds):
         inflation = max(1.0, inflation * score_inflation(quadratic, weights))
         renewed = weights_of(objective, motions, steps, inflation)
-        if number and np.all(np.abs(np.log(renewed.joints / weights.joints)) < steps.same):
-            break
+        last = number == steps.rounds - 1 or (
+            number > 0
+            and bool(np.all(np.abs(np.log(renewed.joints / weights.joints)) < steps.same))
+        )
         weights, damping = renewed, steps.damping
+        enough = steps.settled if last else steps.roughly
         quadratic = objective.quadratic(point, motions, weights, slopes)
         for _ in range(steps.most):
-            if _settled(objective, point, quadratic, steps):
+            if _settled(objective, point, quadratic, enough):
                 break
-            moved = _step(objective, point, quadratic, weights, damping, steps)
+            moved = _step(objective, point, motions, quadratic, weights, damping, steps)
             done += 1
             if moved is None:
                 break
@@ -95,8 +106,10 @@ def _refined(
             costs.append(quadratic.cost)
             if progress is not None:
                 progress((number + done / (steps.most * steps.rounds)) / steps.rounds)
-            if before - quadratic.cost < steps.settled:
+            if before - quadratic.cost < enough:
                 break
+        if last:
+            break
     return Refinement(point, quadratic, weights, motions, done, tuple(costs))
 
 
@@ -138,20 +151,20 @@ def score_inflation(quadratic: Quadratic, weights: Weights) -> float:
     return max(found, g / (g - 1.0) * float(np.mean(np.sum(whole**2, axis=0))))
 
 
-def _settled(objective: Objective, point: Point, quadratic: Quadratic, steps: Steps) -> bool:
+def _settled(objective: Objective, point: Point, quadratic: Quadratic, enough: float) -> bool:
     """Return whether parameters, and on average starts, are close to their minimum."""
     free = np.flatnonzero(~objective.at_bound(point, quadratic.gradient))
     H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
     starts = sum(start.size for start in point.starts)
     return bool(
-        0.5 * float(g @ np.linalg.solve(H, g)) < steps.settled
-        and quadratic.gain < steps.settled * starts
+        0.5 * float(g @ np.linalg.solve(H, g)) < enough and quadratic.gain < enough * starts
     )
 
 
 def _step(
     objective: Objective,
     point: Point,
+    motions: Sequence[Motion],
     quadratic: Quadratic,
     weights: Weights,
     damping: float,
@@ -162,6 +175,7 @@ def _step(
     free = np.flatnonzero(~held)
     H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
     scale = np.diag(H)
+    before = objective.window_costs(point, motions, weights)
     while damping < steps.strongest:
         step = np.zeros(objective.size)
         step[free] = -np.linalg.solve(H + damping * np.diag(scale), g)
@@ -171,8 +185,51 @@ def _step(
             old + (new - old) / (1.0 + damping) for old, new in zip(point.starts, full, strict=True)
         )
         tried = objective.moved(point, step, starts)
-        motions = objective.motions(tried)
-        if objective.cost(tried, motions, weights) < quadratic.cost:
-            return tried, motions, damping / 5.0
+        moved = objective.motions(tried)
+        found = _spared(objective, point, before, tried, moved, weights, quadratic.cost)
+        if found is not None:
+            return *found, damping / 5.0
         damping *= 10.0
+    return None
+
+
+def _spared(
+    objective: Objective,
+    point: Point,
+    before: Sequence[Array],
+    tried: Point,
+    motions: list[Motion],
+    weights: Weights,
+    limit: float,
+) -> tuple[Point, list[Motion]] | None:
+    """Return a tried point whose cost is below the limit, and its motions; None if it is not.
+
+    Where a joint comes to rest or breaks away, a motion is not smooth in its start. Few windows
+    would then forbid a step that is good for all others: these keep more of their old start.
+    """
+    other = objective.other_cost(tried)
+    for share in (*KEPT, None):
+        after = objective.window_costs(tried, motions, weights)
+        rise = [
+            np.minimum(np.nan_to_num(new - old, nan=np.inf), LARGEST_RISE)
+            for new, old in zip(after, before, strict=True)
+        ]
+        all_rises = np.sort(np.concatenate(rise))[::-1]
+        excess = other + float(sum(np.sum(each) for each in (*before, *rise))) - limit
+        if excess < 0.0:
+            return tried, motions
+        few = int(np.searchsorted(np.cumsum(all_rises), excess, side="right")) + 1
+        if share is None or few > FEW * len(all_rises):
+            return None
+        worst = [np.flatnonzero(each >= all_rises[few - 1]) for each in rise]
+        starts = [each.copy() for each in tried.starts]
+        for new, old, at in zip(starts, point.starts, worst, strict=True):
+            new[at] = share * old[at] + (1.0 - share) * new[at]
+        tried = replace(tried, starts=tuple(starts))
+        motions = [
+            motion.replaced(at, part)
+            for motion, at, part in zip(
+                motions, worst, objective.motions(tried, worst), strict=True
+            )
+        ]
     return None

@@ -55,6 +55,12 @@ class Motion:
         """Return some of the windows."""
         return Motion(*(x[start:stop] for x in (self.q, self.v, self.a, self.state)))
 
+    def replaced(self, at: Indices, part: Motion) -> Motion:
+        """Return the motion with some windows replaced."""
+        found = Motion(*(x.copy() for x in (self.q, self.v, self.a, self.state)))
+        found.q[at], found.v[at], found.a[at], found.state[at] = part.q, part.v, part.a, part.state
+        return found
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Branch:
