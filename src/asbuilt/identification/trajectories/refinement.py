@@ -22,7 +22,8 @@ class Steps:
     (logarithm), each with at most `most` steps; a round ends when the quadratic model promises to
     lower the cost by less than `roughly`, the last round by less than `settled`, in units of the
     logarithmic likelihood, and by less than that for each number of the starts of windows, or if a
-    step lowered it by less. `damping` is the first relative damping.
+    step lowered it by less. `damping` is the first relative damping; it falls fast, since little of
+    it holds directions that only CAD determines.
     Windows whose error is beyond `outlying` times the `usual` quantile count no more than if it
     were that (a bounded influence, for contact and servo limits).
     """
@@ -79,7 +80,7 @@ def _refined(
 ) -> Refinement:
     point, motions = start, objective.motions(start)
     done, costs = 0, list[float]()
-    inflation = 1.0
+    inflation, damping = 1.0, steps.damping
     weights = weights_of(objective, motions, steps, inflation)
     slopes = objective.slopes(point, motions)
     quadratic = objective.quadratic(point, motions, weights, slopes)
@@ -90,7 +91,7 @@ def _refined(
             number > 0
             and bool(np.all(np.abs(np.log(renewed.joints / weights.joints)) < steps.same))
         )
-        weights, damping = renewed, steps.damping
+        weights = renewed
         enough = steps.settled if last else steps.roughly
         quadratic = objective.quadratic(point, motions, weights, slopes)
         for _ in range(steps.most):
@@ -188,8 +189,8 @@ def _step(
         moved = objective.motions(tried)
         found = _spared(objective, point, before, tried, moved, weights, quadratic.cost)
         if found is not None:
-            return *found, damping / 5.0
-        damping *= 10.0
+            return *found, damping / 30.0
+        damping = max(10.0 * damping, 0.1 * steps.damping)
     return None
 
 

@@ -244,6 +244,7 @@ class Trajectories:
                 stiffness.reshape(shape),
                 slope.reshape(shape),
                 motion.state,
+                motion.a,
                 columns.reshape(*shape[:2], *columns.shape[1:]),
                 windows.step,
                 every,

@@ -277,6 +277,31 @@ def simulate(
 
 
 @compiled
+def _sign(state):
+    """Return the direction in which a joint moves, zero at rest."""
+    return state - 4.0 if state > 2.0 else state
+
+
+@compiled
+def _kept(state, accelerations, s, k):
+    """Return the share of a change of velocity that joint k keeps in step s; -1 where it moves on.
+
+    None is left at rest. A joint that reverses under dry friction has the acceleration a before and
+    a' after, and a change dv of its velocity becomes `a' / a dv`.
+    """
+    here = _sign(state[s, k])
+    if s == 0 or (here == 0.0 and s + 1 == state.shape[0]):
+        return 0.0 if here == 0.0 else -1.0
+    before, after = s - 1, s if here != 0.0 else s + 1
+    if _sign(state[before, k]) * _sign(state[after, k]) >= 0.0:
+        return 0.0 if here == 0.0 else -1.0
+    share = accelerations[after, k] / accelerations[before, k]
+    if here != 0.0 and not share < 0.99:
+        return -1.0
+    return min(max(share, 0.0), 1.0)
+
+
+@compiled
 def sensitivities(
     joints,
     by_position,
@@ -287,6 +312,7 @@ def sensitivities(
     stiffness,
     slope,
     state,
+    accelerations,
     columns,
     h,
     every,
@@ -318,6 +344,7 @@ def sensitivities(
     p = known + 2 * m
     windows, steps = columns.shape[0], columns.shape[1]
     A, place, dense = np.empty((m, m)), np.empty(m, dtype=np.int64), np.zeros(m, dtype=np.int64)
+    kept = np.empty(m)
     dq, dv, right = np.empty((m, p)), np.empty((m, p)), np.empty((m, p))
     for w in range(windows):
         dq[:], dv[:] = 0.0, 0.0
@@ -326,7 +353,8 @@ def sensitivities(
         for s in range(steps):
             moving = 0
             for i in range(m):
-                if state[w, s, joints[i]] != 0.0 and state[w, s, joints[i]] != 4.0:
+                kept[i] = _kept(state[w], accelerations[w], s, joints[i])
+                if kept[i] < 0.0:
                     place[moving] = i
                     moving += 1
             for x in range(moving):
@@ -351,14 +379,15 @@ def sensitivities(
             # a joint that comes to rest loses its change of velocity to friction
             for i in range(m):
                 k = joints[i]
-                if state[w, s, k] == 0.0 or state[w, s, k] == 4.0:
+                if kept[i] >= 0.0:
                     for x in range(moving):
                         r = joints[place[x]]
                         coupling = (masses[w, s, r, k] + rotors[r, k] + h * damping[r, k]) / h
+                        coupling *= 1.0 - kept[i]
                         for c in range(p):
                             right[x, c] += coupling * dv[i, c]
                     for c in range(p):
-                        dv[i, c] = 0.0
+                        dv[i, c] *= kept[i]
             if factored(A, dense, moving):
                 for x in range(moving):
                     for k in range(x):
