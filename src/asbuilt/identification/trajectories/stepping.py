@@ -195,10 +195,10 @@ def simulate(
     """Simulate windows; `q[w, 0]` and `v[w, 0]` are their initial states.
 
     `inputs` (W, S, n), `q` and `v` (W, S + 1, n), `a` (W, S, n); `state` (W, S, n) becomes 1 and
-    -1 for joints that dry friction brakes, 0 for those that it holds; 4 is added for those at the
-    torque limit of the servo. `moved_by`, `shares` and `offset` (n_links,) are those of
-    `_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and `falling` (n,) are the deadband
-    and how much the limit falls per speed.
+    -1 for joints that dry friction brakes, 0 for those that it holds, .5 and -.5 for those without;
+    4 is added for those at the torque limit of the servo. `moved_by`, `shares` and `offset`
+    (n_links,) are those of `_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and `falling`
+    (n,) are the deadband and how much the limit falls per speed.
     """
     n, windows, steps, links = kp.size, inputs.shape[0], inputs.shape[1], codes.size // CODES
     tree, masses = np.empty((4, links)), np.empty((links, links))
@@ -272,7 +272,7 @@ def simulate(
                 a[w, s, k] = (free[k] - rate[k]) / h if alive else 0.0
                 sign = 0.0 if held else 1.0 if friction[k] > 0.0 else -1.0
                 if odd[k] <= 0.0:
-                    sign = 1.0 if free[k] > 0.0 else -1.0
+                    sign = 0.5 if free[k] > 0.0 else -0.5
                 state[w, s, k] = sign + (4.0 if full[k] else 0.0)
 
 
@@ -286,19 +286,18 @@ def _sign(state):
 def _kept(state, accelerations, s, k):
     """Return the share of a change of velocity that joint k keeps in step s; -1 where it moves on.
 
-    None is left at rest. A joint that reverses under dry friction has the acceleration a before and
-    a' after, and a change dv of its velocity becomes `a' / a dv`.
+    None is left at rest. A joint that reverses under dry friction, accelerated by a before and a'
+    after, does so `-dv / a` later if it is faster by dv, which thereby becomes `a' / a dv` (the
+    saltation of Aizerman and Gantmakher, 1958). In steps of time it is dv or nothing, as the
+    reversal happens to fall: derivatives of the steps themselves hold for tiny changes alone.
     """
     here = _sign(state[s, k])
     if s == 0 or (here == 0.0 and s + 1 == state.shape[0]):
         return 0.0 if here == 0.0 else -1.0
     before, after = s - 1, s if here != 0.0 else s + 1
-    if _sign(state[before, k]) * _sign(state[after, k]) >= 0.0:
+    if _sign(state[before, k]) * _sign(state[after, k]) != -1.0:
         return 0.0 if here == 0.0 else -1.0
-    share = accelerations[after, k] / accelerations[before, k]
-    if here != 0.0 and not share < 0.99:
-        return -1.0
-    return min(max(share, 0.0), 1.0)
+    return min(max(accelerations[after, k] / accelerations[before, k], 0.0), 1.0)
 
 
 @compiled
