@@ -171,6 +171,7 @@ class ConicProblem:
                 return self._fit(inside, 0)
             constraints, limits = self.pattern.copy(), np.concatenate([z, self.limits])
             constraints.data[self.places] = torque.T[self.nonzero]
+            constraints.eliminate_zeros()  # those between branches of the robot
             quadratic = sparse.csc_matrix(
                 (np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)),
                 (n + p, n + p),
