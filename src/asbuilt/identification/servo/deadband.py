@@ -9,12 +9,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from asbuilt.arrays import Array, Indices, Mask
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
+from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
 from asbuilt.identification.servo.servo_scale import block_weights, clustered, truncated_solution
 
 
@@ -70,19 +67,17 @@ def with_deadband(servo: PositionServo, width: float) -> PositionServo:
 
 
 def recorded_deadband(
-    model: RobotModel,
-    base: BaseParameters,
-    recordings: Sequence[Recording],
-    chain: SignalChain,
-    late: float,
-    holdout: str | None,
+    motions: Sequence[CommandedMotion], recordings: Sequence[Recording], late: float
 ) -> Deadband | None:
-    """Return the deadband that the recordings show; None if it is known, or they show none."""
+    """Return the deadband that the recordings show; None if it is known, or they show none.
+
+    `motions` are those of the recordings, whose command acts after `late` [s].
+    """
     servo = recordings[0].servo
     unknown = np.isnan(np.array(() if servo is None else servo.deadband))
     if not np.any(unknown):
         return None
-    slow = [slow_channels(each, chain, late) for each in recordings]
+    rates = [motion.rate(each, late) for motion, each in zip(motions, recordings, strict=True)]
 
     def rows(width: float) -> ServoRows:
         driven = [
@@ -90,7 +85,7 @@ def recorded_deadband(
             for each in recordings
             if each.servo is not None
         ]
-        return servo_rows(model, base, driven, chain, late, holdout, slow)
+        return servo_rows(motions, driven, late, rates)
 
     return find_deadband(rows, unknown)
 

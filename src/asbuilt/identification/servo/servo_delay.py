@@ -82,17 +82,19 @@ def fit_delay(
     lower = np.full(p + 1, -np.inf)
     lower[design.non_negative] = 0.0
     maps = [_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
+    reached = [np.flatnonzero(np.any(J != 0.0, axis=0)) for J, _ in maps]
     weight = np.ones((n, len(rows.times)))
     lengths = np.array([block.n_samples for block in rows.times], dtype=np.float64)
     x, scale, free = start, np.ones(n), np.arange(p + 1)
     for _ in range(RULES.passes):
         normal, right = prior.copy(), prior @ start
-        for k, (J, torque) in enumerate(maps):
+        for k, (whole, torque) in enumerate(maps):
+            J, at = whole[:, reached[k]], reached[k]
             weighted = J.T @ rows.total(k, weight[k])
-            normal += weighted @ J
-            right += weighted @ torque
+            normal[np.ix_(at, at)] += weighted @ J
+            right[at] += weighted @ torque
             if replayed is not None:
-                right -= float(weight[k] @ lengths) * (J[:-1].T @ replayed.weighted[k])
+                right[at] -= float(weight[k] @ lengths) * (J[:-1].T @ replayed.weighted[k])
         x, free = _bounded(normal, right, lower, free)
         residuals = [torque - J @ x for J, torque in maps]
         for k, residual in enumerate(residuals):

@@ -27,7 +27,7 @@ from asbuilt.identification.servo.goal_limit import (
 )
 from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows, slow_channels
+from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
 from asbuilt.identification.servo.settling import Settling
 
 UNEXPLAINED = 3.0
@@ -105,22 +105,23 @@ def estimate_servo(
     unknown = np.isnan(np.array(first.kp))
     stated, late = first, 0.0 if delay is None else delay
 
-    def goal_of(recording: Recording) -> GoalLimit | None:
+    motions = [CommandedMotion(model, base, each, chain, holdout) for each in recordings]
+
+    def goal_of(motion: CommandedMotion, recording: Recording) -> GoalLimit | None:
         plain = replace(recording, servo=limited(stated, np.inf))
-        slow = functools.cache(lambda: [slow_channels(plain, chain, late)])
+        rate = functools.cache(lambda: motion.rate(plain, late))
 
         def rows(servo: PositionServo) -> ServoRows:
-            driven = replace(recording, servo=servo)
-            return servo_rows(model, base, [driven], chain, late, holdout, slow())
+            return servo_rows([motion], [replace(recording, servo=servo)], late, [rate()])
 
         return find_goal_limit(recording, stated, chain, rows)
 
-    goals = tuple(map(goal_of, recordings))
+    goals = tuple(map(goal_of, motions, recordings))
     recordings = [
         replace(each, servo=limited(first, np.inf if goal is None else goal.acceleration))
         for each, goal in zip(recordings, goals, strict=True)
     ]
-    dead = recorded_deadband(model, base, recordings, chain, late, holdout)
+    dead = recorded_deadband(motions, recordings, late)
     stated = first = with_deadband(first, 0.0 if dead is None else dead.width)
     recordings = [
         replace(each, servo=with_deadband(each.servo, 0.0 if dead is None else dead.width))
@@ -131,6 +132,7 @@ def estimate_servo(
         model=model,
         base=base,
         design=design,
+        motions=motions,
         recordings=recordings,
         servo=stated,
         chain=chain,

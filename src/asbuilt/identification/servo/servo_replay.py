@@ -26,7 +26,7 @@ from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.expected_scores import ExpectedScores
-from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows
+from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
 from asbuilt.identification.servo.servo_scale import block_weights, clustered
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.sensitivity import Trajectories
@@ -137,7 +137,10 @@ def replay(
         ]
         late = servo.delay or 0.0
         try:
-            rows = [servo_rows(model, base, [each], chain, late, holdout) for each in driven]
+            rows = [
+                servo_rows([CommandedMotion(model, base, each, chain, holdout)], [each], late)
+                for each in driven
+            ]
         except RecordingError:
             return None
         copies.append([_Copy.of(each, beta, servo) for each in rows])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 
@@ -19,18 +20,21 @@ from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.information.rows import TimeBlock, sample_blocks
+from asbuilt.identification.information.rows import (
+    MOST_HELD,
+    SampleBlock,
+    TimeBlock,
+    sample_blocks,
+)
 
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
-BESIDE = 3
-"""Further rows of a joint: velocity, rate of the command and control error."""
 FEWEST = 5
 """Rows of a joint in a block below which it says nothing of the residual."""
 BLOCK = 1.0
 """Length of a time block [s], short enough to leave out contact and little else."""
+RUN = 8
+"""Time blocks whose rows are made at once."""
 TRACE = 1e-13
 """Increase per sample that is added to each signal, so that no row counts as a repeated one."""
 
@@ -63,65 +67,176 @@ class ServoRows:
         return np.where(count >= FEWEST, np.maximum(energy, 0.0) / np.maximum(count, 1), np.nan)
 
 
-def servo_rows(
-    model: RobotModel,
-    base: BaseParameters,
-    recordings: Sequence[Recording],
-    chain: SignalChain,
-    delay: float,
-    holdout: str | None = None,
-    beside: Sequence[Sequence[Samples]] | None = None,
-) -> ServoRows:
-    """Reduce recordings whose command acts after `delay` [s], without what is held out.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    """Hold neighbouring time blocks with the rows `[W_k, qd]` (p_k + 1, m) of each joint.
 
-    `beside` are the samples of velocities and rates of the command, by recording, if they were
-    made before: `slow_channels`.
+    `grams[b][k]` are those of the rows in block b, `counts` (B, n) the rows that count.
     """
-    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=BESIDE)
-    grams: list[list[Array]] = []
-    times, counts = [], []
+
+    whole: SampleBlock
+    blocks: tuple[SampleBlock, ...]
+    rows: tuple[Array, ...]
+    grams: tuple[tuple[Array, ...], ...]
+    counts: Array
+
+    def spans(self) -> Iterator[slice]:
+        """Yield the columns of each block."""
+        for block in self.blocks:
+            yield slice(block.first - self.whole.first, block.last - self.whole.first)
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedMotion:
+    """Reduce a recording under any servo and delay; what depends on neither is made once.
+
+    Parameters
+    ----------
+    model, base
+        The robot and its base parameters.
+    recording
+        The recording; of its servo, the torque limits count.
+    chain
+        The signal chain, its cutoff settled.
+    holdout
+        A rule of `hold_out`: what to leave out.
+    """
+
+    model: RobotModel
+    base: BaseParameters
+    recording: Recording
+    chain: SignalChain
+    holdout: str | None = None
+
+    @cached_property
+    def support(self) -> tuple[Indices, ...]:
+        """Base parameters of each joint's columns."""
+        return self._plan.support
+
+    def rate(self, recording: Recording, delay: float) -> Samples:
+        """Return samples whose torques are the rate of what the servo of a recording follows."""
+        return self._filtered(command_rate(recording, delay))
+
+    def grams(
+        self, recording: Recording, delay: float, rate: Samples | None = None
+    ) -> Iterator[tuple[TimeBlock, tuple[Array, ...], Array]]:
+        """Yield time blocks, Gram matrices of each joint's rows, and how many rows count (n,).
+
+        `recording` is that of the motion, with any servo; its command acts after `delay` [s]. A
+        `rate` that was made before takes the place of its own.
+        """
+        error = held_command(recording, delay) - recording.q
+        if recording.servo is not None:
+            error = recording.servo.acting(error)
+        both = (rate or self.rate(recording, delay), self._filtered(error))
+        for run in self._runs():
+            signals = np.stack([run.whole.filtered(each.tau.__getitem__) for each in both])
+            for b, (block, span) in enumerate(zip(run.blocks, run.spans(), strict=True)):
+                joined = tuple(
+                    _joined(gram, rows[:, span], signals[:, k, span])
+                    for k, (gram, rows) in enumerate(zip(run.grams[b], run.rows, strict=True))
+                )
+                yield replace(block.time, source=recording.source), joined, run.counts[b]
+
+    @cached_property
+    def _plan(self) -> RegressorPlan:
+        return RegressorPlan.of(self.model, self.base.drive, self.base.columns, spare_rows=1)
+
+    @cached_property
+    def _velocity(self) -> Samples:
+        """Samples whose torques are velocities; rows count where their direction is known."""
+        found = self._filtered(logged_velocity(self.recording))
+        return moving_faster(found, self.recording, self.chain.cutoff or np.inf)
+
+    def _filtered(self, signal: Array) -> Samples:
+        """Return samples with a signal (N, n) in place of the torque."""
+        trace = TRACE * np.arange(self.recording.n_samples)[:, None]
+        samples = prepare_samples(replace(self.recording, tau=signal + trace), self.chain)
+        kept = outside_saturation(samples, self.recording)
+        return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
+
+    def _runs(self) -> Iterator[_Run]:
+        if self._kept is not None:
+            yield from self._kept
+            return
+        for blocks in self._blocks:
+            yield self._run(blocks)
+
+    @cached_property
+    def _blocks(self) -> tuple[tuple[SampleBlock, ...], ...]:
+        """Neighbouring time blocks of a segment, `RUN` at a time."""
+        found: list[tuple[SampleBlock, ...]] = []
+        for _, same in groupby(
+            sample_blocks(self.model, [self._velocity], BLOCK), key=lambda block: block.start
+        ):
+            blocks = tuple(same)
+            found += [blocks[first : first + RUN] for first in range(0, len(blocks), RUN)]
+        return tuple(found)
+
+    @cached_property
+    def _kept(self) -> tuple[_Run, ...] | None:
+        """The rows of all blocks; None if they are too many to keep."""
+        outputs = sum(block.n_outputs for blocks in self._blocks for block in blocks)
+        rows = sum(own.size + 1 for own in self.support)
+        if 8.0 * outputs * rows > MOST_HELD:
+            return None
+        return tuple(map(self._run, self._blocks))
+
+    def _run(self, blocks: tuple[SampleBlock, ...]) -> _Run:
+        whole = replace(blocks[0], last=blocks[-1].last)
+        chunks = [tuple(rows.copy() for rows in chunk) for chunk in whole.chunks(self._plan)]
+        run = _Run(
+            whole,
+            blocks,
+            tuple(np.hstack(parts) for parts in zip(*chunks, strict=True)),
+            (),
+            np.zeros((0, 0)),
+        )
+        spans = tuple(run.spans())
+        return replace(
+            run,
+            grams=tuple(
+                tuple(rows[:, span] @ rows[:, span].T for rows in run.rows) for span in spans
+            ),
+            counts=np.array(
+                [
+                    [np.count_nonzero(np.any(rows[:, span] != 0.0, axis=0)) for rows in run.rows]
+                    for span in spans
+                ]
+            ),
+        )
+
+
+def servo_rows(
+    motions: Sequence[CommandedMotion],
+    recordings: Sequence[Recording],
+    delay: float,
+    rates: Sequence[Samples | None] | None = None,
+) -> ServoRows:
+    """Reduce recordings whose command acts after `delay` [s].
+
+    `motions` are theirs, `recordings` have the servo that each is to have. `rates` are rates of the
+    command that were made before, by recording.
+    """
     with one_blas_thread():
-        for number, recording in enumerate(recordings):
-            slow = slow_channels(recording, chain, delay) if beside is None else beside[number]
-            parts = [*slow, _control_error(recording, chain, delay)]
-            if holdout is not None:
-                parts = [hold_out(each, holdout)[0] for each in parts]
-            for block in sample_blocks(model, [parts[-1]], BLOCK):
-                sums, count = None, np.zeros(model.n_joints)
-                for chunk in block.chunks(plan, _beside(parts[:-1])):
-                    own = [rows @ rows.T for rows in chunk]
-                    count += [np.count_nonzero(np.any(rows != 0.0, axis=0)) for rows in chunk]
-                    sums = own if sums is None else [a + b for a, b in zip(sums, own, strict=True)]
-                if sums is not None:
-                    grams.append(sums)
-                    counts.append(count)
-                    times.append(replace(block.time, source=recording.source))
+        blocks = [
+            block
+            for motion, recording, rate in zip(
+                motions, recordings, rates or (None,) * len(motions), strict=True
+            )
+            for block in motion.grams(recording, delay, rate)
+        ]
+    times, grams, counts = zip(*blocks, strict=True)
     joints = tuple(np.array(own) for own in zip(*grams, strict=True))
-    return ServoRows(plan.support, joints, np.transpose(counts), tuple(times))
+    return ServoRows(motions[0].support, joints, np.transpose(counts).astype(np.float64), times)
 
 
-def slow_channels(recording: Recording, chain: SignalChain, delay: float) -> list[Samples]:
-    """Return samples whose torques are the velocity and the rate of the command."""
-    signals = (logged_velocity(recording), command_rate(recording, delay))
-    return [_with_signal(recording, chain, each) for each in signals]
-
-
-def _control_error(recording: Recording, chain: SignalChain, delay: float) -> Samples:
-    """Return samples whose torques are the control error."""
-    error = held_command(recording, delay) - recording.q
-    if recording.servo is not None:
-        error = recording.servo.acting(error)
-    found = _with_signal(recording, chain, error)
-    return moving_faster(found, recording, chain.cutoff or np.inf)
-
-
-def _with_signal(recording: Recording, chain: SignalChain, signal: Array) -> Samples:
-    """Return samples with a signal (N, n) in place of the torque."""
-    trace = TRACE * np.arange(recording.n_samples)[:, None]
-    samples = prepare_samples(replace(recording, tau=signal + trace), chain)
-    return outside_saturation(samples, recording)
-
-
-def _beside(parts: Sequence[Samples]) -> Callable[[slice], list[Array]]:
-    """Return what gives the signals of samples on a span."""
-    return lambda span: [each.tau[span] for each in parts]
+def _joined(gram: Array, rows: Array, signals: Array) -> Array:
+    """Return the Gram matrix (p + 2, p + 2) of rows (p, m), whose own is given, and signals."""
+    p = len(gram)
+    found = np.empty((p + len(signals), p + len(signals)))
+    found[:p, :p] = gram
+    found[p:, :p] = signals @ rows.T
+    found[:p, p:] = found[p:, :p].T
+    found[p:, p:] = signals @ signals.T
+    return found

@@ -16,7 +16,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.servo.servo_delay import DelayFit, fit_delay
 from asbuilt.identification.servo.servo_replay import Replay, replay
-from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows
+from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
 from asbuilt.identification.servo.servo_scale import ServoScale, find_scale
 
 
@@ -34,6 +34,8 @@ class ServoIterations:
 
 
 ITERATIONS = ServoIterations()
+USUAL_SLOPES = (0.3, 3.0)
+"""Range of the slope by which steps fall per delay, 1 if they lead to the best one at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +57,7 @@ class Settling:
     ----------
     model, base, design
         The robot, its base parameters, and CAD.
-    recordings
+    motions, recordings
         Recordings with the servo that each had, but for its gains and delay.
     servo
         What is stated or was found of the servo; an unknown stiffness is NaN.
@@ -70,6 +72,7 @@ class Settling:
     model: RobotModel
     base: BaseParameters
     design: CadPrior
+    motions: Sequence[CommandedMotion]
     recordings: Sequence[Recording]
     servo: PositionServo
     chain: SignalChain
@@ -107,17 +110,17 @@ class Settling:
     def _alternated(self, late: float, replayed: Replay | None) -> Settled:
         """Return the gains and the delay that are found in turn from a start."""
         kd, error = np.nan_to_num(np.array(self.servo.kd)).tolist(), 0.0
+        before: tuple[float, float] | None = None
         for _ in range(ITERATIONS.most):
-            rows = servo_rows(
-                self.model, self.base, self.recordings, self.chain, late, self.holdout
-            )
+            rows = servo_rows(self.motions, self.recordings, late)
             kp, scale = self._gains(rows)
             found = fit_delay(rows, self.base, self.design, kp.tolist(), kd, replayed)
             if not self.free_delay:
                 break
-            late = float(np.clip(late + found.step, -ITERATIONS.longest, ITERATIONS.longest))
-            error = found.std_error
-            if abs(found.step) < max(ITERATIONS.convergence, 0.05 * error):
+            step, error = _secant_step(late, found.step, before), found.std_error
+            before = late, found.step
+            late = float(np.clip(late + step, -ITERATIONS.longest, ITERATIONS.longest))
+            if abs(step) < max(ITERATIONS.convergence, 0.05 * error):
                 break
         servo = replace(self.servo, kp=tuple(kp.tolist()), kd=tuple(kd), delay=late)
         return Settled(servo, error, rows, scale, found)
@@ -131,3 +134,15 @@ class Settling:
         links[10 * self.model.n_links :] = 0.0
         scale = find_scale(rows, self.base, links, self.servo.kd, unknown, shared=self.shared)
         return np.where(unknown, np.where(np.isfinite(scale.kp), scale.kp, 1.0), given), scale
+
+
+def _secant_step(late: float, step: float, before: tuple[float, float] | None) -> float:
+    """Return how far from a delay its best one lies, by the steps there and at the delay before.
+
+    Steps overshoot, or fall short, by an about constant factor. Without a delay before, or where
+    that factor is not usual, it is the step itself.
+    """
+    if before is None or late == before[0]:
+        return step
+    slope = (step - before[1]) / (late - before[0])
+    return -step / slope if -USUAL_SLOPES[1] < slope < -USUAL_SLOPES[0] else step
