@@ -15,6 +15,7 @@ from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
+from asbuilt.experiment.quality.command_checks import command_findings
 from asbuilt.experiment.quality.coupling_checks import coupling_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import (
@@ -45,6 +46,13 @@ TOO_LITTLE = ("too_few_samples", "too_short")
 """Codes of errors that forbid an identification of the whole robot, and no other use."""
 UNKNOWN_TORQUE = ("torque_flipped", "joint_torque_flipped", "torque_scale")
 """Codes of errors that mean wrong or unknown gains, for uses that look for the gains."""
+FROM_COMMANDS = (
+    *UNKNOWN_TORQUE,
+    *("gravity_direction", "joint_convention", "joint_torque_scale", "joints_swapped"),
+    *("no_torque", "saturation", "servo_stiffness", "torque_limit", "torque_spikes"),
+    *("torque_uncorrelated", "torque_unsigned"),
+)
+"""Codes of findings that wrong commands explain."""
 _WIDTH = 80
 _MOST_INFOS = 3
 """Findings of severity "info" in the short text."""
@@ -235,8 +243,13 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         beginning = as_modelled(model, credible(first_of(recording, MEASURED)))
-        findings += _findings_in_time(model, chunks, known)
-        findings += unsigned_findings(known.torque_range, beginning)
+        of_commands = list(command_findings(model, beginning))
+        of_torques = [
+            *_findings_in_time(model, chunks, known),
+            *unsigned_findings(known.torque_range, beginning),
+        ]
+        findings += of_commands
+        findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
         findings += coupling_findings(model, beginning)

@@ -15,7 +15,13 @@ from asbuilt.experiment.recording import Recording, TorqueSource, median_rate, t
 from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure
 
-CREDIBLE = {"position": 1e6, "torque": 1e9, "velocity": 1e6, "acceleration": 1e9}
+CREDIBLE = {
+    "position": 1e6,
+    "command": 1e6,
+    "torque": 1e9,
+    "velocity": 1e6,
+    "acceleration": 1e9,
+}
 """Largest value that any robot could log, in any unit of the quantity."""
 LIMIT_MARGIN = 0.01
 """Distance beyond its limits [rad or m] at which a joint counts as outside them."""
@@ -215,8 +221,12 @@ def credible(recording: Recording) -> Recording:
 
 
 def _quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
+    """Yield what was logged; torques of a servo are computed from its command."""
     yield "position", recording.q
-    yield "torque", recording.tau
+    if recording.servo is not None and recording.command is not None:
+        yield "command", recording.command
+    else:
+        yield "torque", recording.tau
     if recording.qd is not None:
         yield "velocity", recording.qd
     if recording.qdd is not None:

@@ -1,0 +1,338 @@
+"""Checks of commanded positions against the positions that followed them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure, Finding, joined
+
+SHEET_UNITS: Mapping[str, float] = MappingProxyType(
+    {"deg": math.degrees(1.0), "mrad": 1000.0, "turn": 0.5 / math.pi}
+)
+"""Units of angles that a sheet may name, as numbers per radian."""
+UNITS: Mapping[str, float] = MappingProxyType(
+    {**SHEET_UNITS, "counts of 4096 per turn": 2048 / math.pi}
+)
+EQUAL = 0.99
+"""Share of the samples from which two signals are the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandThresholds:
+    """Hold when positions do not follow their commands: own choices.
+
+    Parameters
+    ----------
+    angle, length
+        Range of positions [rad, m] from which a joint is judged.
+    held
+        Range of positions [rad], times that of `angle`, beyond which a constant command is none:
+        a soft servo gives way by less.
+    constant
+        Range of a command, as a share of that of the positions, up to which it is constant.
+    followed, lost
+        Correlations from which a position follows a command, and up to which it does not.
+    ahead, shifted
+        Shares of what a usual lag leaves unexplained that one before the command, or a longer one,
+        must leave at most: friction delays slow motion, too, but leaves a tenth.
+    factor
+        Times that a command varies more, or less, than the position, beyond what a servo explains.
+    near
+        Relative difference from a known unit.
+    longest
+        Longest lag [s] of a servo; slow ones, with a limited goal, take longer.
+    searched
+        Longest lag [s] that is searched, either way.
+    rate
+        Rate [Hz] at which signals are compared.
+    """
+
+    angle: float = 0.05
+    length: float = 0.005
+    held: float = 10.0
+    constant: float = 0.01
+    followed: float = 0.9
+    lost: float = 0.6
+    ahead: float = 0.5
+    shifted: float = 0.02
+    factor: float = 4.0
+    near: float = 0.2
+    longest: float = 0.3
+    searched: float = 1.0
+    rate: float = 50.0
+
+
+THRESHOLDS = CommandThresholds()
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """Positions and commands at a uniform rate, and the joints that are judged.
+
+    `r[l, i, j]` is the correlation of the position of joint i with the command of joint j `lags[l]`
+    seconds earlier, over the samples that all lags share.
+    """
+
+    names: tuple[str, ...]
+    step: float
+    q: Array
+    u: Array
+    lags: Array
+    r: Array
+    moving: list[int]
+    constant: list[int]
+
+    def best(self, i: int, j: int, within: tuple[float, float]) -> tuple[float, float]:
+        """Return the largest correlation within these lags [s], and its lag."""
+        inside = np.flatnonzero((self.lags >= within[0]) & (self.lags <= within[1]))
+        k = inside[int(np.argmax(self.r[inside, i, j]))]
+        return float(self.r[k, i, j]), float(self.lags[k])
+
+
+def command_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Compare commands with positions, where torques are computed from both.
+
+    A position servo moves its joint to where the command was a moment ago, by about as much.
+    """
+    if recording.command is None or recording.servo is None:
+        return
+    motion = _motion(model, recording)
+    if motion is None:
+        return
+    if _is_position(recording, motion.moving):
+        yield Finding(
+            "command_is_position",
+            "error",
+            "the commands are the measured positions, so that they say nothing of the torque",
+            Cure("log what was sent to the servos"),
+        )
+        return
+    found = [*_constant(motion)]
+    swapped = _swapped(motion)
+    if swapped:
+        found.append(_swapped_finding(motion, swapped))
+    rest = [j for j in motion.moving if j not in swapped]
+    found += [*_units(motion, rest), *_flipped(motion, rest)]
+    found = found or [*_clock(motion)] or [*_lost(motion)]
+    yield from found or _offset(model, recording.servo, motion)
+
+
+def _motion(model: RobotModel, recording: Recording) -> _Motion | None:
+    """Return what is compared; None where too little moves or is known."""
+    assert recording.command is not None
+    t, q, u = recording.t, recording.q, recording.command
+    rows = np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1)
+    rows[rows] = t[rows] > np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
+    t, q, u = t[rows], q[rows], u[rows]
+    if t.size < 4 or t[-1] - t[0] < 4 * THRESHOLDS.searched:
+        return None
+    step = max(1 / THRESHOLDS.rate, float(np.median(np.diff(t))))
+    at = np.arange(t[0], t[-1], step)
+    last = np.searchsorted(t, at, side="right") - 1
+    q, u = (
+        np.column_stack([np.interp(at, t, q[:, k]) for k in range(q.shape[1])]),
+        u[last],
+    )
+    smallest = np.array(
+        [THRESHOLDS.angle if joint.is_revolute else THRESHOLDS.length for joint in model.joints]
+    )
+    extent = np.ptp(q, axis=0)
+    constant = np.ptp(u, axis=0) <= THRESHOLDS.constant * extent
+    moving = np.flatnonzero((extent > smallest) & ~constant).tolist()
+    held = np.flatnonzero(constant & (extent > THRESHOLDS.held * smallest)).tolist()
+    reach = int(THRESHOLDS.searched / step)
+    lags = np.arange(-reach, reach + 1)
+    inner = slice(reach, q.shape[0] - reach)
+    positions = _normalised(q[inner])
+    r = np.array(
+        [positions.T @ _normalised(u[reach - lag : q.shape[0] - reach - lag]) for lag in lags]
+    )
+    names = recording.joint_names
+    return _Motion(names, step, q, u, np.asarray(lags * step, dtype=np.float64), r, moving, held)
+
+
+def _normalised(x: Array) -> Array:
+    """Return columns without their means, of unit length; zero where they are constant."""
+    x = x - x.mean(axis=0)
+    length = np.linalg.norm(x, axis=0)
+    return np.asarray(x / np.where(length > 0.0, length, np.inf))
+
+
+def _is_position(recording: Recording, moving: list[int]) -> bool:
+    """Return whether the commands of all moving joints are the positions, or the next ones."""
+    assert recording.command is not None
+    if not moving:
+        return False
+    q, u = recording.q[:, moving], recording.command[:, moving]
+    size = 1e-6 * np.nanmax(np.abs(q), axis=0)
+    return bool(
+        np.mean(np.all(np.abs(u - q) <= size, axis=1)) > EQUAL
+        or np.mean(np.all(np.abs(u[:-1] - q[1:]) <= size, axis=1)) > EQUAL
+    )
+
+
+def _constant(motion: _Motion) -> Iterator[Finding]:
+    names = [motion.names[j] for j in motion.constant]
+    if not names:
+        return
+    plural = len(names) > 1
+    yield Finding(
+        "command_constant",
+        "error",
+        f"the command{'s' * plural} of {joined(names)} {'are' if plural else 'is'} constant, though"
+        f" the joint{'s move' if plural else ' moves'} by up to"
+        f" {np.ptp(motion.q[:, motion.constant], axis=0).max():.3g}",
+        Cure("check which columns are commands, or lock what was moved by hand"),
+        joint=None if plural else names[0],
+    )
+
+
+def _units(motion: _Motion, judged: list[int]) -> Iterator[Finding]:
+    """Find commands that vary many times as much, or as little, as positions that follow them."""
+    judged = [j for j in judged if abs(motion.r[:, j, j]).max() > THRESHOLDS.followed]
+    ratios = np.ptp(motion.u, axis=0) / np.maximum(np.ptp(motion.q, axis=0), 1e-12)
+    wrong = [j for j in judged if not 1 / THRESHOLDS.factor < ratios[j] < THRESHOLDS.factor]
+    if not wrong:
+        return
+    ratio = float(np.median(ratios[wrong]))
+    near = [
+        (unit, of)
+        for unit, per_radian in UNITS.items()
+        for of, expected in (("command", per_radian), ("position", 1 / per_radian))
+        if abs(math.log(ratio / expected)) < THRESHOLDS.near
+    ]
+    unit, quantity = near[0] if near else ("", "command")
+    looks = f", as if {quantity}s were in {unit}" if near else ""
+    names = [motion.names[j] for j in wrong]
+    cure = f"convert the {quantity}s to radians or metres"
+    if unit in SHEET_UNITS and len(wrong) == len(judged):
+        cure = f'write the unit in a recording sheet: units = {{ {quantity} = "{unit}" }}'
+    yield Finding(
+        "command_units",
+        "error",
+        f"the commands of {joined(names)} vary {ratio:.3g} times as much as the positions{looks}",
+        Cure(cure),
+        joint=names[0] if len(names) == 1 else None,
+    )
+
+
+def _swapped(motion: _Motion) -> dict[int, int]:
+    """Return joints that follow each other's commands, not their own, with those of the commands.
+
+    A joint that follows a command of one that follows its own as well moves in step with that.
+    """
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - light start
+
+    within, moving = (-THRESHOLDS.searched, THRESHOLDS.searched), motion.moving
+    if len(moving) < 2:
+        return {}
+    best = np.array([[motion.best(i, j, within)[0] for j in moving] for i in moving])
+    pairs = {
+        moving[i]: moving[j]
+        for i, j in zip(*linear_sum_assignment(-best), strict=True)
+        if best[i, j] > THRESHOLDS.followed and best[i, i] < THRESHOLDS.lost
+    }
+    return pairs if set(pairs) == set(pairs.values()) else {}
+
+
+def _swapped_finding(motion: _Motion, pairs: Mapping[int, int]) -> Finding:
+    names = motion.names
+    listed = joined([f"{names[i]} the command of {names[j]}" for i, j in pairs.items()])
+    return Finding(
+        "command_swapped",
+        "error",
+        f"positions follow commands of other joints: {listed}",
+        Cure(
+            "list the columns in the order of the joints in a recording sheet: [columns] command ="
+            " [...], or command_joints for a bag"
+        ),
+    )
+
+
+def _flipped(motion: _Motion, judged: list[int]) -> Iterator[Finding]:
+    """Find commands whose positions go the other way."""
+    inside = (motion.lags >= 0.0) & (motion.lags <= THRESHOLDS.longest)
+    for j in judged:
+        own = motion.r[inside, j, j]
+        if own.max() < THRESHOLDS.lost and own.min() < -THRESHOLDS.followed:
+            name = motion.names[j]
+            yield Finding(
+                "command_flipped",
+                "error",
+                f"{name} moves against its command (correlation {own.min():.2f})",
+                Cure("multiply the column of its command by -1"),
+                joint=name,
+            )
+
+
+def _offset(model: RobotModel, servo: PositionServo, motion: _Motion) -> Iterator[Finding]:
+    """Find commands so far away that the stiffness, if stated, exceeds the torque limit."""
+    away = np.median(motion.u - motion.q, axis=0)
+    limits = np.minimum(servo.torque_limit, [joint.limits.torque for joint in model.joints])
+    for j, name in enumerate(motion.names):
+        torque = servo.kp[j] * abs(away[j])
+        if torque > limits[j]:
+            yield Finding(
+                "command_offset",
+                "error",
+                f"the command of {name} is mostly {away[j]:.3g} from its position, {torque:.3g} at"
+                f" the stiffness of {servo.kp[j]:.3g}, and the torque limit is {limits[j]:.3g}",
+                Cure("check the zeros of command and position, and the stiffness"),
+                joint=name,
+            )
+
+
+def _clock(motion: _Motion) -> Iterator[Finding]:
+    """Find commands that come after the motion, or long before it, at most joints."""
+    within, longest = (-THRESHOLDS.searched, THRESHOLDS.searched), THRESHOLDS.longest
+    lags = []
+    for j in motion.moving:
+        r, lag = motion.best(j, j, within)
+        usual, _ = motion.best(j, j, (-2 * motion.step, longest))
+        share = THRESHOLDS.ahead if lag < 0.0 else THRESHOLDS.shifted
+        shifted = 1.0 - r < share * (1.0 - usual) or usual < THRESHOLDS.lost
+        if r > THRESHOLDS.followed and shifted:
+            lags.append(lag)
+    if 2 * len(lags) <= len(motion.moving):
+        return
+    lag = float(np.median(lags))
+    if lag < 0.0:
+        problem = f"positions precede their commands by {-lag:.3g} s, which no servo can do"
+    else:
+        problem = (
+            f"positions follow their commands {lag:.3g} s later; servos take less than"
+            f" {longest:g} s"
+        )
+    yield Finding(
+        "command_clock",
+        "error" if lag < 0.0 else "warning",
+        f"{problem}: the clocks of commands and positions differ",
+        Cure("correct the times of the commands"),
+    )
+
+
+def _lost(motion: _Motion) -> Iterator[Finding]:
+    """Find joints that do not go where they are told."""
+    for j in motion.moving:
+        r, _ = motion.best(j, j, (-2 * motion.step, THRESHOLDS.searched))
+        if r < THRESHOLDS.lost:
+            name = motion.names[j]
+            yield Finding(
+                "command_not_followed",
+                "warning",
+                f"the position of {name} does not follow its command (correlation {r:.2f})",
+                Cure(
+                    f"check that the column is the commanded position of {name}, and not a"
+                    " velocity or torque"
+                ),
+                joint=name,
+            )
