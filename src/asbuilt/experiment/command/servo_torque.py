@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording
 
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+FEWEST = 4
+"""Samples of a command below which it has no curve."""
 DROOP = 1.0 / 24.0
 """Outer weight of the filter `[w, 1 - 2 w, w]` whose response is that of a held sample,
 `sinc(f T)`, to the fourth order in the frequency f."""
 
 
-def held_command(recording: Recording, delay: float = 0.0) -> Array:
+def held_command(
+    recording: Recording, delay: float = 0.0, curve: CommandCurve | None = None
+) -> Array:
     """Return the command that acts at the times of the samples, shape (N, n).
 
     A command is held until the next. Below half the sampling rate that is a delay of half a period
     T and the response `sinc(f T)`; `delay` [s] comes in addition. If the recording has a servo that
     limits its goal, the goal takes the place of the command. A servo with a lead adds the rate of
-    what acts, times the lead.
+    what acts, times the lead. A `curve` of the same recording spares making it.
 
     Examples
     --------
@@ -31,51 +39,97 @@ def held_command(recording: Recording, delay: float = 0.0) -> Array:
     >>> round(float(t[50] - late[50, 0]), 6)
     0.025
     """
-    return _led(recording, delay, 0)
+    return _led(recording, delay, 0, curve)
 
 
-def command_rate(recording: Recording, delay: float = 0.0) -> Array:
+def command_rate(
+    recording: Recording, delay: float = 0.0, curve: CommandCurve | None = None
+) -> Array:
     """Return the time derivative of `held_command`, shape (N, n)."""
-    return _led(recording, delay, 1)
+    return _led(recording, delay, 1, curve)
 
 
-def _led(recording: Recording, delay: float, derivative: int) -> Array:
+@dataclass(frozen=True, slots=True, eq=False)
+class CommandCurve:
+    """Hold the command of a recording as a curve, for any delay.
+
+    `rows` (N,) are the samples that count, `t` their times and `spline` the curve through them,
+    None if they are too few.
+    """
+
+    rows: Mask
+    t: Array
+    spline: CubicSpline | None
+
+    @classmethod
+    def of(cls, recording: Recording) -> CommandCurve:
+        """Return the curve of the command of a recording."""
+        rows = _counting(recording)
+        t, x = recording.t[rows], _command(recording)[rows]
+        if t.size < FEWEST:
+            return cls(rows, t, None)
+        padded = np.concatenate([x[:1], x, x[-1:]])
+        return cls(
+            rows, t, _spline(t, DROOP * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * DROOP) * x)
+        )
+
+    def held(self, delay: float, derivative: int) -> Array:
+        """Return what is held for a period, or its derivative, shape (N, n)."""
+        t, spline = self.t, self.spline
+        if spline is None:
+            raise ValueError(f"a command of {t.size} samples has no curve")
+        at = t - 0.5 * float(np.median(np.diff(t))) - delay
+        values = np.asarray(spline(np.clip(at, t[0], t[-1]), derivative))
+        if derivative:
+            values[(at < t[0]) | (at > t[-1])] = 0.0
+        return values
+
+
+def _led(recording: Recording, delay: float, derivative: int, curve: CommandCurve | None) -> Array:
     """Return a derivative of the goal and of its rate times the lead, shape (N, n)."""
-    goal = _acting(recording, delay, derivative)
     if recording.servo is None or not np.any(recording.servo.leads):
-        return goal
-    return goal + recording.servo.leads * _acting(recording, delay, derivative + 1)
+        return _acting(recording, delay, derivative, curve)
+    goal, rate = (_acting(recording, delay, derivative + more, curve) for more in (0, 1))
+    return goal + recording.servo.leads * rate
 
 
-def _acting(recording: Recording, delay: float, derivative: int) -> Array:
-    command, t = recording.command, recording.t
-    if command is None:
-        raise ValueError("the recording has no command")
-    rows = np.isfinite(t) & np.all(np.isfinite(command), axis=1)
-    rows[rows] = t[rows] > np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
+def _acting(
+    recording: Recording, delay: float, derivative: int, curve: CommandCurve | None
+) -> Array:
+    command = _command(recording)
     out = np.full(command.shape, np.nan)
-    if np.count_nonzero(rows) < 4:
-        return out
-    x, t = command[rows], t[rows]
     if recording.servo is not None and recording.servo.limits_goal:
-        out[rows] = _of_goal(*recording.servo.goal(t, x), t, delay, derivative)
+        rows = _counting(recording)
+        t = recording.t[rows]
+        if t.size >= FEWEST:
+            goal = recording.servo.goal(t, command[rows])
+            out[rows] = _of_goal(*goal, t, delay, derivative)
         return out
-    padded = np.concatenate([x[:1], x, x[-1:]])
-    x = DROOP * (padded[:-2] + padded[2:]) + (1.0 - 2.0 * DROOP) * x
-    at = t - 0.5 * float(np.median(np.diff(t))) - delay
-    inside = np.clip(at, t[0], t[-1])
-    values = _interpolated(t, x, inside, derivative)
-    if derivative:
-        values[(at < t[0]) | (at > t[-1])] = 0.0
-    out[rows] = values
+    curve = curve or CommandCurve.of(recording)
+    if curve.spline is not None:
+        out[curve.rows] = curve.held(delay, derivative)
     return out
 
 
-def _interpolated(t: Array, x: Array, at: Array, derivative: int) -> Array:
-    """Return the cubic spline through x (N, n) at other times, or its derivative."""
+def _command(recording: Recording) -> Array:
+    if recording.command is None:
+        raise ValueError("the recording has no command")
+    return recording.command
+
+
+def _counting(recording: Recording) -> Mask:
+    """Return the samples with a command, at times that increase (N,)."""
+    t = recording.t
+    rows = np.isfinite(t) & np.all(np.isfinite(_command(recording)), axis=1)
+    rows[rows] = t[rows] > np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
+    return np.asarray(rows)
+
+
+def _spline(t: Array, x: Array) -> CubicSpline:
+    """Return the cubic spline through x (N, n)."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - light start
 
-    return np.asarray(CubicSpline(t, x, axis=0)(at, derivative))
+    return CubicSpline(t, x, axis=0)
 
 
 def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) -> Array:
@@ -98,7 +152,7 @@ def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) 
     padded = np.concatenate([values[:1], values, values[-1:]])
     values = (1.0 + 2.0 * DROOP) * values - DROOP * (padded[:-2] + padded[2:])
     if derivative:
-        values = _interpolated(t, values, t, derivative)
+        values = np.asarray(_spline(t, values)(t, derivative))
         values[(late < t[0]) | (late > t[-1])] = 0.0
     return np.asarray(values)
 

@@ -178,6 +178,6 @@ class _HeldOut:
             problem = ConicProblem.of(prior, base.regrouping, generous_bounds(prior))
             errors, betas = held_out_errors(
                 information,
-                lambda part: base.regrouping @ problem.fit(part.stacked(chosen)).chi,
+                lambda part: base.regrouping @ problem.fit(part.stacked(chosen), rough=True).chi,
             )
         return cls(errors, betas, tuple(base.names), chosen)

@@ -116,12 +116,16 @@ def _robust(
                     ]
                 )
             gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
+            sums = [np.zeros((own.size, own.size + 1)) for own in rows.support]
             for b, block in enumerate(rows):
-                for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                for k, (columns, total) in enumerate(zip(block.rows, sums, strict=True)):
                     weight = loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
                     weighted = columns[:-1] * weight
-                    gram += root[support].T @ (weighted @ columns[:-1].T) @ root[support]
-                    score += root[support].T @ (weighted @ residuals[k][b])
+                    total[:, :-1] += weighted @ columns[:-1].T
+                    total[:, -1] += weighted @ residuals[k][b]
+            for support, total in zip(rows.support, sums, strict=True):
+                gram += root[support].T @ total[:, :-1] @ root[support]
+                score += root[support].T @ total[:, -1]
             step = np.linalg.lstsq(gram, score, rcond=None)[0]
             beta = beta + root @ step
             converged = bool(step @ gram @ step <= STEP**2)

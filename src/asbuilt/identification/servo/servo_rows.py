@@ -15,7 +15,12 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.command.saturation import outside_saturation
-from asbuilt.experiment.command.servo_torque import command_rate, held_command, logged_velocity
+from asbuilt.experiment.command.servo_torque import (
+    CommandCurve,
+    command_rate,
+    held_command,
+    logged_velocity,
+)
 from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
@@ -115,7 +120,7 @@ class CommandedMotion:
 
     def rate(self, recording: Recording, delay: float) -> Samples:
         """Return samples whose torques are the rate of what the servo of a recording follows."""
-        return self._filtered(command_rate(recording, delay))
+        return self._filtered(command_rate(recording, delay, self._curve))
 
     def grams(
         self, recording: Recording, delay: float, rate: Samples | None = None
@@ -125,7 +130,7 @@ class CommandedMotion:
         `recording` is that of the motion, with any servo; its command acts after `delay` [s]. A
         `rate` that was made before takes the place of its own.
         """
-        error = held_command(recording, delay) - recording.q
+        error = held_command(recording, delay, self._curve) - recording.q
         if recording.servo is not None:
             error = recording.servo.acting(error)
         both = (rate or self.rate(recording, delay), self._filtered(error))
@@ -141,6 +146,10 @@ class CommandedMotion:
     @cached_property
     def _plan(self) -> RegressorPlan:
         return RegressorPlan.of(self.model, self.base.drive, self.base.columns, spare_rows=1)
+
+    @cached_property
+    def _curve(self) -> CommandCurve:
+        return CommandCurve.of(self.recording)
 
     @cached_property
     def _velocity(self) -> Samples:
