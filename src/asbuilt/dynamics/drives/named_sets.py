@@ -42,7 +42,10 @@ def with_sets_expanded(entries: Sequence[Sequence[str]]) -> list[list[str]]:
     for entry in entries:
         by_colon = entry[0] == "bam" and len(entry) > 1
         key, *options = [f"bam-{entry[1]}", *entry[2:]] if by_colon else entry
-        expanded += _terms_of(key, options) if key.startswith("bam") else [[key, *options]]
+        if key.startswith("bam") or f"bam-{key}" in NAMED_SETS:
+            expanded += _terms_of(key, options)
+        else:
+            expanded.append([key, *options])
     return expanded
 
 

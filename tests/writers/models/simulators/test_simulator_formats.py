@@ -224,6 +224,7 @@ def test_every_file_says_what_it_cannot_hold(written: Export) -> None:
     assert any("delay" in note for note in written.notes["mjcf"])
     assert any("delay" in note for note in written.notes["usd"])
     assert json.loads(written.files["bam"].read_text())["joint_1"]["command_delay"] == 0.012
+    assert any("command_delay [s] is no parameter of BAM" in note for note in written.notes["bam"])
 
 
 def test_an_unknown_format_is_refused(result: IdentificationResult, tmp_path: Path) -> None:

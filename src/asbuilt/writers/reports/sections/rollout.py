@@ -12,14 +12,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.writers.reports.page import table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
-from asbuilt.writers.tables.rollout_tables import position_unit, rollout_table
+from asbuilt.writers.tables.rollout_tables import rollout_table
 
 TEMPLATE = """\
 <div class="scroll">{{ table }}</div>
 <p class="quiet">{{ note }}</p>
-<div class="grid">{% for name, lines, lower, upper, reach in joints %}
-<figure><figcaption>{{ name }}, {{ lower }} to {{ upper }} {{ unit }} over {{ seconds }} s;\
- errors within {{ reach }}</figcaption>\
+<div class="grid">{% for name, lines, extent, reach in joints %}
+<figure><figcaption>{{ name }}, {{ extent }} over {{ seconds }} s; errors within {{ reach }}\
+</figcaption>\
 <svg viewBox="0 0 600 250" role="img" aria-label="motion of {{ name }} and its errors">\
 {% for x in starts %}<line x1="{{ x }}" x2="{{ x }}" y1="0" y2="250" stroke="#8a8f98"\
  stroke-width="0.8" stroke-dasharray="2 4"/>{% endfor %}\
@@ -30,6 +30,9 @@ TEMPLATE = """\
 {% endfor %}</div>
 """
 COLOURS = {"measured": "#a4a9b1", "CAD": "#d98324", "as built": "#1f6feb"}
+CUT = 10.0
+"""Times the largest error as built at which errors by CAD are cut off."""
+_BY = {"as built": "as built", "CAD": "by CAD"}
 POINTS = 600
 """Points of a line."""
 LONGEST = 12.0
@@ -51,14 +54,14 @@ def rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, 
         "note": (
             f"Windows of {shown.horizon:g} s, one after another, driven by the"
             f" {shown.driven_by}: measured (grey), simulated by CAD (orange) and as built (blue)."
-            " Each window starts in the measured state (dotted lines). Errors are below the motion."
+            " Each window starts in the measured state (dotted lines). Errors are below the motion,"
+            f" cut off at {CUT:g} times the largest as built."
             + (f" The first {count} of {first.n_windows}." if count < first.n_windows else "")
         ),
         "joints": [
-            _joint(joint.name, shown, k, "mrad" if joint.is_revolute else "mm")
+            _joint(joint.name, shown, k, "rad" if joint.is_revolute else "m")
             for k, joint in enumerate(model.joints)
         ],
-        "unit": position_unit(model).removeprefix("m").replace(" mm", " m"),
         "seconds": f"{count * first.horizon:.3g}",
         "starts": [f"{600.0 * w / count:.1f}" for w in range(1, count)],
     }
@@ -70,17 +73,17 @@ def _count(rollout: Rollout) -> int:
     return max(1, min(windows.n_windows, int(LONGEST / windows.horizon)))
 
 
-def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str, str]:
-    """Return name, lines, range and largest error of a joint in the first recording."""
+def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str]:
+    """Return name, lines, range and largest errors of a joint in the first recording."""
     motion, count = rollout.motions[0], _count(rollout)
     paths = {"measured": motion.windows.q, "CAD": motion.cad, "as built": motion.as_built}
     measured = motion.windows.q[:count, :, k]
-    reach = 0.1 * float(np.ptp(measured)) or 1e-3
-    lower, upper = float(measured.min()) - reach, float(measured.max()) + reach
     there = {what: path[:count, :, k] for what, path in paths.items() if path is not None}
     errors = {what: path - measured for what, path in there.items() if what != "measured"}
-    largest = max((float(np.nanmax(np.abs(x), initial=0.0)) for x in errors.values()), default=0.0)
-    bound = largest or 1e-9
+    largest = {what: float(np.nanmax(np.abs(x), initial=0.0)) for what, x in errors.items()}
+    bound = min(CUT * largest.get("as built", np.inf), max(largest.values(), default=0.0)) or 1e-9
+    reach = max(0.1 * float(np.ptp(measured)), 1.2 * largest.get("as built", 0.0), 1e-3)
+    lower, upper = float(measured.min()) - reach, float(measured.max()) + reach
     lines = [
         (COLOURS[what], 3.5 if what == "measured" else 1.4, _pieces(path, lower, upper, 0.0, 160.0))
         for what, path in there.items()
@@ -88,7 +91,18 @@ def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[An
         (COLOURS[what], 1.6, _pieces(error, -bound, bound, 172.0, 248.0))
         for what, error in errors.items()
     ]
-    return name, lines, f"{lower:.3g}", f"{upper:.3g}", f"{1e3 * largest:.3g} {unit}"
+    said = [f"{_length(each, unit)} {_BY[what]}" for what, each in reversed(largest.items())]
+    extent = f"{measured.min():.3g} to {measured.max():.3g} {unit}"
+    return name, lines, extent, ", ".join(said)
+
+
+def _length(value: float, unit: str) -> str:
+    """Return a distance in thousandths of its unit, or in the unit from one on.
+
+    >>> _length(0.0123, "rad"), _length(6.07, "rad")
+    ('12.3 mrad', '6.07 rad')
+    """
+    return f"{value:.3g} {unit}" if value >= 1.0 else f"{1e3 * value:.3g} m{unit}"
 
 
 def _pieces(path: Array, lower: float, upper: float, top: float, bottom: float) -> list[str]:

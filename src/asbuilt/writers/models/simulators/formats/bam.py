@@ -40,9 +40,16 @@ class Bam(SimulatorFormat):
         late = {"command_delay": drives.delay} if drives.delay else {}
         notes = (
             *drives.left_out("BAM", carried=CARRIED, delay=True, gains=False),
-            "BAM also wants `actuator` (the class of the motor) and the motor's `kt` and `R`, which"
-            " no recording of joint torque holds: add them, then load_model_from_dict(sets[joint])",
+            "BAM also wants `actuator` (the class of the motor) and the motor's own numbers, `kt`,"
+            " `R` and others, which no recording of joint torque holds: add them, then"
+            " load_model_from_dict(sets[joint])",
         )
+        if late:
+            notes = (
+                *notes,
+                "command_delay [s] is no parameter of BAM, whose loader passes over it: delay the"
+                " commands in its simulation",
+            )
         if drives.has_gains:
             notes = (*notes, "BAM has its own law of the servo: kp and kd are not in its file")
         if uneven := [joint.name for joint in drives.plain.joints if _uneven(joint)]:
