@@ -26,7 +26,12 @@ from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
-from asbuilt.identification.servo.servo_estimate import UNEXPLAINED, ServoEstimate, estimate_servo
+from asbuilt.identification.servo.servo_estimate import (
+    UNEXPLAINED,
+    ServoEstimate,
+    estimate_servo,
+    precedes_command,
+)
 from asbuilt.tables import rounded
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.options import StudyOptions
@@ -37,9 +42,6 @@ EXCEPTION = 1.0 / 3.0
 of it is how the robot moves: own choice."""
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
-
-AHEAD = 1e-3
-"""Time [s] by which a torque may precede its command for reasons of sampling: own choice."""
 
 
 def settle_servo(
@@ -283,17 +285,33 @@ def servo_findings(
             )
         )
     findings += _goal_findings(found)
-    late = found.servo.delay or 0.0
-    if errors.delay and late + 3.0 * errors.delay < -AHEAD:
+    late = _shown(1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)
+    if errors.lead:
+        lead = _shown(1e3 * max(found.servo.lead), 1e3 * errors.lead)
+        findings.append(
+            Finding(
+                "servo_lead",
+                "info",
+                "The torque preceded the command, which no delay does: the servo was taken to have"
+                f" a gain on the rate of its control error, {lead} ms times its stiffness, beside a"
+                f" delay of {late} ms; viscous friction includes its damping",
+                Cure("state the lead and the torque limit if they are known, or record steps"),
+            )
+        )
+    elif precedes_command(found):
         findings.append(
             Finding(
                 "servo_ahead",
                 "info",
-                f"The torque precedes the command by {_shown(-1e3 * late, 1e3 * errors.delay)} ms,"
-                " which no delay does: positions are logged later than commands, or the servo has"
-                " another law, such as a gain on the rate of its control error. The recordings do"
-                " not tell which; under larger steps of the command these differ",
-                Cure("state the lead and the torque limit, or record steps of the command"),
+                "The torque precedes the command by"
+                f" {_shown(-1e3 * (found.servo.delay or 0.0), 1e3 * errors.delay)} ms, which no"
+                " delay does: positions are logged later than commands, or the servo has another"
+                " law, such as a gain on the rate of its control error. Torques do not tell which;"
+                " under larger steps of the command these differ",
+                Cure(
+                    "refine by rollouts, which fits such a gain, state the lead and the torque"
+                    " limit, or record steps of the command",
+                ),
             )
         )
     if errors.deadband:

@@ -132,6 +132,21 @@ class CadPrior:
         P = pseudo_inertias(parameters[: 10 * self.n_links].reshape(-1, 10))
         return np.asarray(np.linalg.eigvalsh(inverse @ P @ inverse.transpose(0, 2, 1)))
 
+    def made_consistent(self, parameters: Array, least: float) -> Array:
+        """Return standard parameters whose links are consistent: each as far from CAD as it may be.
+
+        A link stays where its relative eigenvalues are at least `least`, and else comes back along
+        the line to CAD until they are.
+        """
+        smallest = self.relative_eigenvalues(parameters)[:, 0]
+        share = np.minimum(1.0, (1.0 - least) / np.maximum(1.0 - smallest, 1e-300))
+        share[smallest >= least] = 1.0
+        found, links = np.array(parameters), slice(0, 10 * self.n_links)
+        found[links] = self.parameters[links] + np.repeat(share, 10) * (
+            found[links] - self.parameters[links]
+        )
+        return found
+
 
 def body_metric(parameters: Array, strength: Array) -> Array:
     """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10).

@@ -25,6 +25,8 @@ class ServoErrors:
         determines it.
     delay
         Standard error of the delay [s], 0 where it was given.
+    lead
+        Standard error of the lead [s], 0 where it was given or none was sought.
     goal_acceleration
         Standard error of the limit of the goal's acceleration [rad/s^2 or m/s^2], 0 where it was
         given or not found in every recording.
@@ -42,6 +44,7 @@ class ServoErrors:
 
     kp: tuple[float, ...] = field(default=(), metadata=stored(decode=_with_infinities))
     delay: float = 0.0
+    lead: float = 0.0
     goal_acceleration: float = 0.0
     goal_sought: tuple[bool, ...] = ()
     deadband: float = 0.0

@@ -33,6 +33,8 @@ from asbuilt.identification.servo.settling import Settling
 UNEXPLAINED = 3.0
 """Residual of a second, in those of the median second, from which it has another cause than those
 of the model: contact, or a limit of the servo. Residuals of friction stay below."""
+AHEAD = 1e-3
+"""Time [s] by which a torque may precede its command for reasons of sampling: own choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +66,12 @@ class ServoEstimate:
         """The servo, its limit NaN where it was sought."""
         found = np.where(self.errors.goal_sought, np.nan, self.servo.goal_acceleration)
         return replace(self.servo, goal_acceleration=tuple(found.tolist()))
+
+
+def precedes_command(found: ServoEstimate) -> bool:
+    """Whether the torque precedes its command by three standard errors, which no delay does."""
+    error = found.errors.delay
+    return bool(error > 0.0 and (found.servo.delay or 0.0) + 3.0 * error < -AHEAD)
 
 
 def estimate_servo(

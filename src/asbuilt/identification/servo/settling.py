@@ -36,6 +36,8 @@ class ServoIterations:
 ITERATIONS = ServoIterations()
 USUAL_SLOPES = (0.3, 3.0)
 """Range of the slope by which steps fall per delay, 1 if they lead to the best one at once."""
+LEAST = 0.1
+"""Smallest eigenvalue of the inertia of a link that is replayed, in that of CAD: own choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +90,8 @@ class Settling:
     def settle(self, late: float) -> tuple[Settled, Replay | None]:
         """Return servo and fit from a first delay [s], and the last replay; None if it diverged.
 
-        Each replay is that of the robot and servo found before.
+        Each replay is that of the robot and servo found before, with links that can exist: those
+        of a fit without bounds may not.
         """
         at, replayed = self._alternated(late, None), None
         for last in (False,) * (ITERATIONS.replays - 1) + (True,):
@@ -98,7 +101,7 @@ class Settling:
                 self.recordings,
                 at.servo,
                 self.chain,
-                at.found.parameters,
+                self.design.made_consistent(at.found.parameters, LEAST),
                 self.holdout,
                 roughly=not last,
             )

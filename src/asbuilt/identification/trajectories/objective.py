@@ -17,19 +17,13 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, smat, svec
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.trajectories.sensitivity import Branch, Motion, Trajectories
+from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.start_elimination import StartModel, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 
-DELAY_SCALE = 1e-3
-"""Unit of the delay in the coordinates [s]."""
 DRIVE_RIDGE = 1e-4
 """Weight of drive parameters toward their start, which matters only if they are undetermined."""
-STIFFNESS_SPREAD = 1.0
-"""Prior standard deviation of the logarithm of a common stiffness that nothing determines."""
-DELAY_SPREAD = 20.0
-"""Prior standard deviation of the delay, in units of `DELAY_SCALE`."""
-
 SMALLEST = 1e-6
 """Least error of a start [rad, m, rad/s or m/s]."""
 MOST_KEPT = 2e7
@@ -84,8 +78,7 @@ class Objective:
 
     The coordinates around a point are S_i of every link, `P_i = L_i exp(S_i) L_i^T` with L_i the
     Cholesky factor of its pseudo-inertia, so that every link is physically consistent; drive
-    parameters; the logarithm of a common factor of all stiffnesses, if they are free; and the
-    delay, if it is free.
+    parameters; and those of the servo.
 
     Attributes
     ----------
@@ -97,10 +90,8 @@ class Objective:
         CAD, and the weight of the divergence from it; infinite holds the links of CAD.
     start
         Where drive and servo parameters stay if nothing determines them.
-    free_stiffness, free_delay
-        Whether the servo is fitted.
-    stiffness_spread
-        Standard deviation of the logarithm of a common stiffness before the trajectories.
+    of_servo
+        What is fitted of the servo.
     """
 
     trajectories: Trajectories
@@ -110,9 +101,7 @@ class Objective:
     prior: CadPrior
     belief: float
     start: Point
-    free_stiffness: bool = False
-    free_delay: bool = False
-    stiffness_spread: float = STIFFNESS_SPREAD
+    of_servo: ServoCoordinates = field(default_factory=ServoCoordinates)
     linear_factors: tuple[Array, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -130,7 +119,7 @@ class Objective:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return len(self.start.chi) + self.free_stiffness + self.free_delay
+        return len(self.start.chi) + self.of_servo.size
 
     def robot(self, point: Point) -> SimulatedRobot:
         """Return the robot of a point, the links of the description in place of its own."""
@@ -338,12 +327,9 @@ class Objective:
         chi[10 * n :] += step[10 * n : len(chi)]
         bounded = self.prior.non_negative
         chi[bounded] = np.maximum(chi[bounded], 0.0)
-        servo, left = point.servo, list(step[len(chi) :])
-        if servo is not None and self.free_stiffness:
-            factor = float(np.exp(left.pop(0)))
-            servo = replace(servo, kp=tuple(factor * x for x in servo.kp))
-        if servo is not None and self.free_delay:
-            servo = replace(servo, delay=(servo.delay or 0.0) + DELAY_SCALE * left.pop(0))
+        servo = point.servo
+        if servo is not None:
+            servo = self.of_servo.moved(servo, step[len(chi) :])
         return Point(chi, servo, starts)
 
     def at_bound(self, point: Point, gradient: Array) -> Mask:
@@ -352,6 +338,9 @@ class Objective:
         held[self.free] = False
         bounded = self.prior.non_negative
         held[bounded] |= (point.chi[bounded] <= 0.0) & (gradient[bounded] > 0.0)
+        if point.servo is not None:
+            last = len(point.chi)
+            held[last:] |= self.of_servo.at_bound(point.servo, gradient[last:])
         return held
 
     def covariance(self, point: Point, quadratic: Quadratic) -> Array:
@@ -371,8 +360,7 @@ class Objective:
 
     def undetermined(self, quadratic: Quadratic) -> tuple[str, ...]:
         """Return the drive and servo parameters that the trajectories hardly determine."""
-        names = [*self.prior.names, *(["stiffness"] if self.free_stiffness else [])]
-        names += ["delay"] if self.free_delay else []
+        names = [*self.prior.names, *self.of_servo.names]
         at = np.ix_(self.free, self.free)
         inverse, held = np.linalg.inv(quadratic.matrix[at]), np.zeros(self.size)
         rest = quadratic.matrix[at] - quadratic.data[at]
@@ -390,12 +378,8 @@ class Objective:
             part = slice(10 * i, 10 * i + 10)
             to_z[:p, part] = K[:, part] @ roots[i]
         to_z[:p, 10 * n : len(point.chi)] = K[:, 10 * n :]
-        last = len(point.chi)
-        if self.free_stiffness and point.servo is not None:
-            to_z[p : p + len(point.servo.kp), last] = point.servo.kp
-            last += 1
-        if self.free_delay:
-            to_z[-1, last] = DELAY_SCALE
+        if point.servo is not None:
+            to_z[p:, len(point.chi) :] = self.of_servo.columns(point.servo)
         return to_z
 
     def _torque_rows(self, point: Point) -> tuple[Array, Array]:
@@ -403,6 +387,7 @@ class Objective:
         base = self.trajectories.base
         beta = base.regrouping @ point.chi
         width = self.trajectories.n_parameters
+        free_stiffness = self.of_servo.stiffness
         rows, rest = [], []
         for k, (support, factor) in enumerate(
             zip(self.information.support, self.linear_factors, strict=True)
@@ -410,7 +395,7 @@ class Objective:
             scale = 1.0
             row = np.zeros((len(factor), width))
             row[:, support] = factor[:, :-1]
-            if point.servo is not None and self.start.servo is not None and self.free_stiffness:
+            if point.servo is not None and self.start.servo is not None and free_stiffness:
                 scale = point.servo.kp[k] / self.start.servo.kp[k]
                 row[:, base.n_base + k] = -factor[:, -1] / self.start.servo.kp[k]
             rows.append(row)
@@ -436,8 +421,7 @@ class Objective:
         ridge = np.zeros(self.size)
         n = 10 * self.n_links
         ridge[n : len(self.start.chi)] = DRIVE_RIDGE / self.prior.drive_scale**2
-        spread = np.array([self.stiffness_spread, DELAY_SPREAD])
-        ridge[len(self.start.chi) :] = spread[[self.free_stiffness, self.free_delay]] ** -2.0
+        ridge[len(self.start.chi) :] = self.of_servo.weights
         return ridge
 
     def _away(self, point: Point) -> Array:
@@ -445,14 +429,8 @@ class Objective:
         away = np.zeros(self.size)
         n = 10 * self.n_links
         away[n : len(point.chi)] = point.chi[n:] - self.start.chi[n:]
-        last = len(point.chi)
         if point.servo is not None and self.start.servo is not None:
-            if self.free_stiffness:
-                away[last] = np.log(point.servo.kp[0] / self.start.servo.kp[0])
-                last += 1
-            if self.free_delay:
-                late = (point.servo.delay or 0.0) - (self.start.servo.delay or 0.0)
-                away[last] = late / DELAY_SCALE
+            away[len(point.chi) :] = self.of_servo.away(point.servo, self.start.servo)
         return away
 
 

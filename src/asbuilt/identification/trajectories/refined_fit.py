@@ -12,9 +12,10 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.trajectories.objective import STIFFNESS_SPREAD, Objective, Point
+from asbuilt.identification.trajectories.objective import Objective, Point
 from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
+from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 
@@ -49,8 +50,8 @@ class RefinedFit:
         Standard errors of the drive parameters, shape (n, columns_per_joint).
     undetermined
         Drive and servo parameters that stay near the start.
-    delay_error, stiffness_error
-        Standard errors of the delay [s] and of the relative stiffness; NaN if not fitted.
+    delay_error, stiffness_error, lead_error
+        Standard errors of delay [s], relative stiffness, and lead [s]; NaN if not fitted.
     """
 
     fit: Fit
@@ -62,6 +63,7 @@ class RefinedFit:
     undetermined: tuple[str, ...]
     delay_error: float
     stiffness_error: float
+    lead_error: float
 
 
 def refine_fit(
@@ -69,9 +71,7 @@ def refine_fit(
     windows: Sequence[Windows],
     servo: PositionServo | None,
     *,
-    free_stiffness: bool = False,
-    free_delay: bool = True,
-    stiffness_spread: float = STIFFNESS_SPREAD,
+    of_servo: ServoCoordinates | None = None,
     belief: float = BELIEF,
     begin: Array | None = None,
     progress: Callable[[float], None] | None = None,
@@ -86,12 +86,8 @@ def refine_fit(
         What to simulate, from the samples of the fit.
     servo
         The servo if a command drives the simulation, with all gains known or estimated.
-    free_stiffness
-        Whether a common factor of its stiffnesses is fitted.
-    free_delay
-        Whether its delay is fitted.
-    stiffness_spread
-        Standard error of the logarithm of a common stiffness before the trajectories.
+    of_servo
+        What is fitted of it; None: its delay.
     belief
         Weight of the divergence of links from CAD; infinite holds the links of CAD.
     begin
@@ -121,12 +117,10 @@ def refine_fit(
         prior,
         belief,
         start,
-        free_stiffness and servo is not None,
-        free_delay and servo is not None,
-        stiffness_spread,
+        ServoCoordinates() if servo is None else of_servo or ServoCoordinates(delay=True),
     )
     first = start if begin is None else Point(begin, servo, starts)
-    if objective.free_stiffness and servo is not None:
+    if objective.of_servo.stiffness and servo is not None:
         first = _better_start(objective, first, servo)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
@@ -163,10 +157,7 @@ def refine_fit(
         chi[10 * model.n_links :].reshape(model.n_joints, -1),
         servo,
     )
-    n = model.n_joints
-    stiffness = np.nan
-    if objective.free_stiffness and servo is not None:
-        stiffness = float(np.sqrt(covariance[p, p])) / max(servo.kp[0], np.finfo(float).tiny)
+    stiffness, late, lead = _servo_errors(objective, covariance)
     return RefinedFit(
         refined,
         found.point.servo,
@@ -175,9 +166,25 @@ def refine_fit(
         found,
         objective.drive_errors(found.quadratic),
         open_names,
-        float(np.sqrt(covariance[p + 2 * n, p + 2 * n])) if objective.free_delay else np.nan,
+        late,
         stiffness,
+        lead,
     )
+
+
+def _servo_errors(objective: Objective, covariance: Array) -> tuple[float, float, float]:
+    """Return standard errors of relative stiffness, delay and lead; NaN where not fitted."""
+    free, servo = objective.of_servo, objective.start.servo
+    first = objective.trajectories.base.n_base
+    errors = np.sqrt(np.diag(covariance))
+    kp = 1.0 if servo is None else max(servo.kp[0], np.finfo(np.float64).tiny)
+    fitted = (
+        (free.stiffness, errors[first] / kp),
+        (free.delay, errors[-2]),
+        (free.lead, errors[-1]),
+    )
+    stiffness, late, lead = (float(error) if there else np.nan for there, error in fitted)
+    return stiffness, late, lead
 
 
 def _better_start(objective: Objective, start: Point, servo: PositionServo) -> Point:

@@ -66,7 +66,8 @@ class Motion:
 class Branch:
     """Name the joints (m,) of a branch and the parameters (p,) on which its motion depends.
 
-    Parameters are columns of `(base parameters, kp of each joint, kd of each joint, delay)`.
+    Parameters are columns of `(base parameters, kp of each joint, kd of each joint, delay, lead)`;
+    the lead is one that all joints have more.
     """
 
     joints: Indices
@@ -77,7 +78,7 @@ class Branch:
 class Trajectories:
     """Simulate windows of a robot, and derive the motion by its parameters.
 
-    The parameters are its base parameters, then kp and kd of every joint, then the delay.
+    The parameters are its base parameters, then kp and kd of every joint, then delay and lead.
     """
 
     model: RobotModel
@@ -86,7 +87,7 @@ class Trajectories:
     @property
     def n_parameters(self) -> int:
         """Number of parameters."""
-        return self.base.n_base + 2 * self.model.n_joints + 1
+        return self.base.n_base + 2 * self.model.n_joints + 2
 
     @cached_property
     def plan(self) -> RegressorPlan:
@@ -114,7 +115,7 @@ class Trajectories:
         for root in np.unique(roots):
             joints = np.flatnonzero(roots == root)
             own = np.flatnonzero(roots[owner] == root)
-            servo = [p + joints, p + n + joints, [p + 2 * n]]
+            servo = [p + joints, p + n + joints, [p + 2 * n, p + 2 * n + 1]]
             found.append(Branch(joints, np.concatenate([own, *servo]).astype(np.int64)))
         return tuple(found)
 
@@ -205,6 +206,8 @@ class Trajectories:
         late = (windows.slopes(robot.delay, robot.lead) if servo else np.zeros(shape)).reshape(
             -1, n
         )
+        leads = servo and any(self.n_parameters - 1 in each.parameters for each in branches)
+        ahead = windows.rates(robot.delay).reshape(-1, n) if leads else late
         free = (motion.state < 2.0).reshape(-1, n)
         error = inputs - q
         acting = error - np.clip(error, -dead, dead)
@@ -226,6 +229,7 @@ class Trajectories:
                         (p + k, -acting[:, k] * free[:, k]),
                         (p + n + k, after[:, k] * free[:, k]),
                         (p + 2 * n, -stiffness[:, k] * late[:, k]),
+                        (p + 2 * n + 1, -stiffness[:, k] * ahead[:, k]),
                     ]
                 for number, values in known:
                     if place[number] >= 0:

@@ -9,14 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.servo.servo_estimate import ServoEstimate
-from asbuilt.identification.trajectories.objective import STIFFNESS_SPREAD
+from asbuilt.identification.servo.servo_estimate import ServoEstimate, precedes_command
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
+from asbuilt.identification.trajectories.servo_coordinates import (
+    STIFFNESS_SPREAD,
+    ServoCoordinates,
+)
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, robot_as_built
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.errors import RolloutErrors
@@ -96,13 +100,12 @@ def refine_study(
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
     began = time.perf_counter()
     horizon = min(max(horizons, default=USUAL), LONGEST)
-    known = None if servo is None or kinds != {"command"} else servo.servo
+    known = None if servo is None or kinds != {"command"} else _with_lead(fit.model, servo)
     refined = refine_fit(
         fit,
         _windows(parts, horizon),
         known,
-        free_stiffness=servo is not None and any(x != "given" for x in servo.errors.scale),
-        stiffness_spread=_stiffness_spread(servo),
+        of_servo=_of_servo(servo),
         progress=lambda fraction: report("refine", fraction),
     )
     return (
@@ -115,6 +118,37 @@ def refine_study(
             refined.undetermined,
             refined.start,
         ),
+    )
+
+
+def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
+    """Return what of a servo is unknown, so that trajectories are fitted to it."""
+    if servo is None:
+        return ServoCoordinates()
+    return ServoCoordinates(
+        stiffness=any(x != "given" for x in servo.errors.scale),
+        delay=servo.errors.delay > 0.0,
+        lead=precedes_command(servo),
+        spread=_stiffness_spread(servo),
+    )
+
+
+def _with_lead(model: RobotModel, servo: ServoEstimate) -> PositionServo:
+    """Return the servo; one whose torque precedes its command has a lead in place of a delay.
+
+    The derivative gain of such a servo answers a step of the command with all the torque that it
+    has, so the torque limits of the description hold unless others are stated.
+    """
+    found = servo.servo
+    if not precedes_command(servo):
+        return found
+    described = np.array([joint.limits.torque for joint in model.joints])
+    stated = np.array(found.torque_limit)
+    return replace(
+        found,
+        delay=0.0,
+        lead=tuple((found.leads - (found.delay or 0.0)).tolist()),
+        torque_limit=tuple(np.where(np.isfinite(stated), stated, described).tolist()),
     )
 
 
@@ -178,7 +212,11 @@ def _servo_as_refined(servo: ServoEstimate, refined: RefinedFit) -> ServoEstimat
     built: PositionServo | None = refined.servo
     if built is None:
         return servo
-    errors = replace(servo.errors, delay=refined.delay_error)
+    errors = servo.errors
+    if np.isfinite(refined.delay_error):
+        errors = replace(errors, delay=refined.delay_error)
+    if np.isfinite(refined.lead_error):
+        errors = replace(errors, lead=refined.lead_error)
     if np.isfinite(refined.stiffness_error):
         errors = replace(errors, kp=tuple(refined.stiffness_error * kp for kp in built.kp))
     return replace(servo, servo=built, errors=errors)
