@@ -33,6 +33,7 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.trajectories.refined_fit import refine_fit
+from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 
 ROBOT = "ur10e"
@@ -205,7 +206,7 @@ def _by_asbuilt(
     samples = prepare_samples(recording, SignalChain(cutoff=10.0))
     base = find_base_parameters(start, DRIVE)
     fit = fit_samples(start, [samples], base=base, method="entropic")
-    refined = refine_fit(fit, [windows], servo, belief=np.inf, free_delay=False)
+    refined = refine_fit(fit, [windows], servo, belief=np.inf, of_servo=ServoCoordinates())
     return refined.robot.values, refined.value_errors
 
 

@@ -46,10 +46,12 @@ def recorded_by_mujoco(
     rate: float = 100.0,
     seed: int = 0,
     noise: float = 0.0,
+    steps: float = 0.0,
 ) -> Recording:
     """Return a recording of MuJoCo's own position actuators, loaded from MJCF text.
 
     Goals are moved by the deadband and the lead, and force ranges by the speed, before each step.
+    Commands have `steps` [rad] up and down beside their sines.
     """
     actuators = "".join(
         f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kd}"'
@@ -70,6 +72,7 @@ def recorded_by_mujoco(
     data, every = mujoco.MjData(robot), round(1.0 / (rate * 1e-3))
     t = np.arange(0.0, duration, 1.0 / rate)
     u = command(t, seed)
+    u += steps * np.sign(np.sin(2.0 * np.pi * 0.9 * t))[:, None]
     late = round((servo.delay or 0.0) / 1e-3)
     data.qpos[:] = u[0]
     q, qd = np.empty_like(u), np.empty_like(u)

@@ -18,6 +18,7 @@ from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.trajectories.objective import Quadratic, Weights
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.refinement import score_inflation
+from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinates
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 
 pytest.importorskip("mujoco")
@@ -91,7 +92,12 @@ def test_an_unknown_stiffness_keeps_to_its_error_by_torques(study: tuple[Fit, Wi
     fit, windows = study
     high = replace(SERVO, kp=tuple(1.2 * kp for kp in SERVO.kp), delay=0.0)
     moved = {
-        spread: refine_fit(fit, [windows], high, free_stiffness=True, stiffness_spread=spread).servo
+        spread: refine_fit(
+            fit,
+            [windows],
+            high,
+            of_servo=ServoCoordinates(stiffness=True, delay=True, spread=spread),
+        ).servo
         for spread in (1.0, 1e-3)
     }
     free, held = moved[1.0], moved[1e-3]
@@ -99,6 +105,31 @@ def test_an_unknown_stiffness_keeps_to_its_error_by_torques(study: tuple[Fit, Wi
     assert held is not None
     assert free.kp[0] < 0.97 * high.kp[0]
     assert held.kp[0] == pytest.approx(high.kp[0], rel=5e-3)
+
+
+@pytest.mark.parametrize(("lead", "late", "skew"), [(0.015, 0.004, 0.0), (0.0, 0.004, 0.02)])
+@pytest.mark.study
+def test_a_lead_is_told_from_times_that_are_skewed(lead: float, late: float, skew: float) -> None:
+    """Smooth motion shows `delay - lead`; under steps a lead and late positions differ."""
+    truth = servo_arm()
+    servo = replace(SERVO, delay=late, lead=(lead, lead))
+    recording = recorded_by_mujoco(truth, servo, duration=24.0, noise=2e-4, steps=0.1)
+    moved = np.stack([np.interp(recording.t + skew, recording.t, x) for x in recording.q.T], axis=1)
+    begun = replace(SERVO, delay=late - lead - skew)
+    recording = driven_by_command(replace(recording, q=moved, qd=None), begun)
+    chain = SignalChain(cutoff=8.0)
+    fit = fit_samples(truth, [prepare_samples(recording, chain)], drive=DRIVE, method="entropic")
+    whole = prepare_samples(recording, replace(chain, rests=True, parallel=False))
+    found = refine_fit(
+        fit,
+        [cut_windows(recording, whole, 0.5)],
+        begun,
+        of_servo=ServoCoordinates(delay=True, lead=True),
+    )
+    assert found.servo is not None
+    assert found.servo.delay == pytest.approx(late - skew, abs=1.5e-3)
+    np.testing.assert_allclose(found.servo.leads, lead, atol=2e-3)
+    assert np.isfinite(found.lead_error) == (lead > 0.0)
 
 
 def test_windows_of_a_recording_share_what_the_model_gets_wrong() -> None:

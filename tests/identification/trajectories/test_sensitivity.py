@@ -16,6 +16,8 @@ from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, 
 from asbuilt.identification.trajectories.windows import cut_windows
 
 pytest.importorskip("mujoco")
+SMALL = {"lead": (1e-5, 1e-5)}
+"""A lead that is changed both ways without falling below zero."""
 
 
 def before_reversals(motion: Motion, every: int) -> Mask:
@@ -27,7 +29,11 @@ def before_reversals(motion: Motion, every: int) -> Mask:
 
 @pytest.mark.parametrize(
     "law",
-    [{}, {"deadband": (0.02, 0.01), "no_load_speed": (6.0, 9.0)}, {"lead": (0.01, 0.02)}],
+    [
+        SMALL,
+        SMALL | {"deadband": (0.02, 0.01), "no_load_speed": (6.0, 9.0)},
+        {"lead": (0.01, 0.02)},
+    ],
     ids=["pd", "beyond", "lead"],
 )
 def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
@@ -48,7 +54,8 @@ def test_derivatives_by_all_parameters_are_those_of_differences(law) -> None:
             servo,
             kp=tuple(np.array(servo.kp) + z[p : p + n]),
             kd=tuple(np.array(servo.kd) + z[p + n : p + 2 * n]),
-            delay=servo.delay + z[-1],
+            delay=servo.delay + z[-2],
+            lead=tuple(servo.leads + z[-1]),
         )
         moved = SimulatedRobot(model, robot.drive, full[10 * n :].reshape(n, -1), changed)
         here = windows

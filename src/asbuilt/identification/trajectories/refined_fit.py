@@ -26,8 +26,12 @@ BELIEF = 10.0
 """Weight of the divergence of links from CAD: about a third of a link, in every direction."""
 STIFFER = 4.0
 """Factor of the stiffness of the other start of an unknown servo."""
-FEW = Steps(rounds=1, most=8)
-"""Steps by which starts are compared."""
+CHANCE = 4.5
+"""Fall of the logarithmic likelihood that is beyond chance: three standard errors of a number."""
+FEW, FEWEST = Steps(rounds=1, most=8), Steps(rounds=1, most=4)
+"""Steps by which starts are compared: two, and many that lie along a valley."""
+LATE = (0.0, 0.005, 0.01, 0.015, 0.02)
+"""Delays [s] from which a lead is sought: positions of servo and log are up to a sample late."""
 MOST_SECONDS = 60.0
 """Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
 
@@ -87,7 +91,8 @@ def refine_fit(
     servo
         The servo if a command drives the simulation, with all gains known or estimated.
     of_servo
-        What is fitted of it; None: its delay.
+        What is fitted of it; None: its delay. A lead takes the place of a delay below zero unless
+        the trajectories contradict: the log may count positions from a later time.
     belief
         Weight of the divergence of links from CAD; infinite holds the links of CAD.
     begin
@@ -104,7 +109,7 @@ def refine_fit(
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
         chi[: 10 * model.n_links] = prior.parameters[: 10 * model.n_links]
-    windows = _thinned(windows)
+    wanted, windows = of_servo or ServoCoordinates(delay=True), _thinned(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
     share = SAME_SAMPLES * fit.uncertainty.effective_samples / fit.information.n_samples
@@ -117,11 +122,13 @@ def refine_fit(
         prior,
         belief,
         start,
-        ServoCoordinates() if servo is None else of_servo or ServoCoordinates(delay=True),
+        ServoCoordinates() if servo is None else replace(wanted, lead=False),
     )
     first = start if begin is None else Point(begin, servo, starts)
     if objective.of_servo.stiffness and servo is not None:
         first = _better_start(objective, first, servo)
+    if wanted.lead and servo is not None:
+        objective, first = _with_lead(objective, first, servo)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
     p = base.n_base
@@ -205,6 +212,43 @@ def _better_start(objective: Objective, start: Point, servo: PositionServo) -> P
     weights = tried[0].weights
     costs = [objective.cost(each.point, each.motions, weights) for each in tried]
     return tried[int(np.argmin(costs))].point
+
+
+def _with_lead(objective: Objective, start: Point, servo: PositionServo) -> tuple[Objective, Point]:
+    """Return objective and start with a lead and no delay in place of a delay below zero.
+
+    They are as they were if that explains the trajectories worse by more than chance. The
+    derivative gain of such a servo answers a step of the command with all the torque that it has,
+    so the torque limits of the description hold unless others are stated.
+    """
+    described = np.array([joint.limits.torque for joint in objective.trajectories.model.joints])
+    stated = np.array(servo.torque_limit)
+    limits = tuple(np.where(np.isfinite(stated), stated, described).tolist())
+
+    def leading(each: PositionServo, late: float = 0.0) -> PositionServo:
+        lead = np.maximum(each.leads - (each.delay or 0.0), 0.0) + late
+        return replace(each, delay=late, lead=tuple(lead.tolist()), torque_limit=limits)
+
+    ahead = replace(
+        objective,
+        start=replace(objective.start, servo=leading(servo)),
+        of_servo=replace(objective.of_servo, lead=True),
+    )
+    plain = refine(objective, start, steps=FEW)
+    built = plain.point.servo
+    if built is None or not (built.delay or 0.0) < 0.0:
+        return objective, start
+    # delay and lead trade off along a valley that steps of the command make rough
+    tried = [
+        refine(ahead, replace(plain.point, servo=leading(built, late)), steps=FEWEST)
+        for late in LATE
+    ]
+    costs = [ahead.cost(each.point, each.motions, plain.weights) for each in tried]
+    other = refine(ahead, tried[int(np.argmin(costs))].point, steps=FEW)
+    worse = ahead.cost(other.point, other.motions, plain.weights) - objective.cost(
+        plain.point, plain.motions, plain.weights
+    )
+    return (objective, plain.point) if worse > CHANCE else (ahead, other.point)
 
 
 def _thinned(windows: Sequence[Windows]) -> tuple[Windows, ...]:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, joined
@@ -100,7 +99,7 @@ def refine_study(
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
     began = time.perf_counter()
     horizon = min(max(horizons, default=USUAL), LONGEST)
-    known = None if servo is None or kinds != {"command"} else _with_lead(fit.model, servo)
+    known = None if servo is None or kinds != {"command"} else servo.servo
     refined = refine_fit(
         fit,
         _windows(parts, horizon),
@@ -130,25 +129,6 @@ def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
         delay=servo.errors.delay > 0.0,
         lead=precedes_command(servo),
         spread=_stiffness_spread(servo),
-    )
-
-
-def _with_lead(model: RobotModel, servo: ServoEstimate) -> PositionServo:
-    """Return the servo; one whose torque precedes its command has a lead in place of a delay.
-
-    The derivative gain of such a servo answers a step of the command with all the torque that it
-    has, so the torque limits of the description hold unless others are stated.
-    """
-    found = servo.servo
-    if not precedes_command(servo):
-        return found
-    described = np.array([joint.limits.torque for joint in model.joints])
-    stated = np.array(found.torque_limit)
-    return replace(
-        found,
-        delay=0.0,
-        lead=tuple((found.leads - (found.delay or 0.0)).tolist()),
-        torque_limit=tuple(np.where(np.isfinite(stated), stated, described).tolist()),
     )
 
 
