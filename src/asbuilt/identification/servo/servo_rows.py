@@ -14,6 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.saturation import outside_saturation
 from asbuilt.experiment.command.servo_torque import (
     CommandCurve,
@@ -27,12 +28,8 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.information.rows import (
-    MOST_HELD,
-    SampleBlock,
-    TimeBlock,
-    sample_blocks,
-)
+from asbuilt.findings import Cure
+from asbuilt.identification.information.rows import SampleBlock, TimeBlock, sample_blocks
 
 FEWEST = 5
 """Rows of a joint in a block below which it says nothing of the residual."""
@@ -40,6 +37,8 @@ BLOCK = 1.0
 """Length of a time block [s], short enough to leave out contact and little else."""
 RUN = 8
 """Time blocks whose rows are made at once."""
+MOST_HELD = 50e6
+"""Memory [bytes] of the rows of a recording that are kept; more are made again each time."""
 TRACE = 1e-13
 """Increase per sample that is added to each signal, so that no row counts as a repeated one."""
 
@@ -225,7 +224,7 @@ def servo_rows(
     """Reduce recordings whose command acts after `delay` [s].
 
     `motions` are theirs, `recordings` have the servo that each is to have. `rates` are rates of the
-    command that were made before, by recording.
+    command that were made before, by recording. Raises `RecordingError` if no motion is left.
     """
     with one_blas_thread():
         blocks = [
@@ -235,6 +234,12 @@ def servo_rows(
             )
             for block in motion.grams(recording, delay, rate)
         ]
+    if not blocks:
+        raise RecordingError(
+            f"{recordings[0].source}: no motion under the command is left for the servo",
+            cure=Cure("record longer, or hold out less"),
+            file=recordings[0].source,
+        )
     times, grams, counts = zip(*blocks, strict=True)
     joints = tuple(np.array(own) for own in zip(*grams, strict=True))
     return ServoRows(motions[0].support, joints, np.transpose(counts).astype(np.float64), times)

@@ -156,7 +156,7 @@ class Objective:
         return tuple(found)
 
     def motions(self, point: Point, some: Sequence[Indices] | None = None) -> list[Motion]:
-        """Simulate all windows, or `some` of each recording."""
+        """Simulate all windows, or `some` of each recording by number."""
         cuts = [
             replace(cut, start_q=start[:, 0], start_qd=start[:, 1])
             for cut, start in zip(self.windows, point.starts, strict=True)
