@@ -95,7 +95,7 @@ def test_quadratic_friction_counts_by_direction() -> None:
     assert (p["load_friction_external_quad"], p["load_friction_motor_quad"]) == (0.002, 0.001)
 
 
-@pytest.mark.parametrize("text", ["bam", "bam-m7", "bam-m1:velocity=1", "bam-m4:joints=2"])
+@pytest.mark.parametrize("text", ["bam", "bam-m7", "m4", "bam-m1:velocity=1", "bam-m4:joints=2"])
 def test_names_that_are_no_set(text: str) -> None:
     with pytest.raises(UsageError, match=r"set of drive terms|fades with speed"):
         DriveSet.parse(text)

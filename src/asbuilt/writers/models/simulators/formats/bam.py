@@ -52,6 +52,12 @@ class Bam(SimulatorFormat):
             )
         if drives.has_gains:
             notes = (*notes, "BAM has its own law of the servo: kp and kd are not in its file")
+        if negative := sorted({key for each in sets.values() for key in each if _below(each[key])}):
+            notes = (
+                *notes,
+                "BAM's own fits keep every parameter at zero or above; below zero at some joints"
+                f" are {', '.join(negative)}",
+            )
         if uneven := [joint.name for joint in drives.plain.joints if _uneven(joint)]:
             notes = (
                 *notes,
@@ -123,6 +129,11 @@ def _by_direction(terms: Any) -> dict[str, float]:
         found["load_friction_external_quad"] = terms[QUADRATIC]["Flqm"]
         found["load_friction_motor_quad"] = terms[QUADRATIC]["Flqe"]
     return found
+
+
+def _below(value: Any) -> bool:
+    """Whether a value of a parameter set is a negative number."""
+    return isinstance(value, float) and value < 0.0
 
 
 def _uneven(joint: Joint) -> bool:
