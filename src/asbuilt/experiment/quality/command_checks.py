@@ -22,8 +22,10 @@ SHEET_UNITS: Mapping[str, float] = MappingProxyType(
 UNITS: Mapping[str, float] = MappingProxyType(
     {**SHEET_UNITS, "counts of 4096 per turn": 2048 / math.pi}
 )
+GAP = 5.0
+"""Steps without a sample beyond which the log has a gap, which is left out."""
 EQUAL = 0.99
-"""Share of the samples from which two signals are the same."""
+"""Share of the changes of a command from which it is the position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,11 +135,15 @@ def _motion(model: RobotModel, recording: Recording) -> _Motion | None:
     rows = np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1)
     rows[rows] = t[rows] > np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
     t, q, u = t[rows], q[rows], u[rows]
-    if t.size < 4 or t[-1] - t[0] < 4 * THRESHOLDS.searched:
+    if t.size < 4:
         return None
     step = max(1 / THRESHOLDS.rate, float(np.median(np.diff(t))))
     at = np.arange(t[0], t[-1], step)
     last = np.searchsorted(t, at, side="right") - 1
+    logged = at - t[last] <= GAP * step
+    at, last = at[logged], last[logged]
+    if at.size * step < 4 * THRESHOLDS.searched:
+        return None
     q, u = (
         np.column_stack([np.interp(at, t, q[:, k]) for k in range(q.shape[1])]),
         u[last],
@@ -174,10 +180,11 @@ def _is_position(recording: Recording, moving: list[int]) -> bool:
         return False
     q, u = recording.q[:, moving], recording.command[:, moving]
     size = 1e-6 * np.nanmax(np.abs(q), axis=0)
-    return bool(
-        np.mean(np.all(np.abs(u - q) <= size, axis=1)) > EQUAL
-        or np.mean(np.all(np.abs(u[:-1] - q[1:]) <= size, axis=1)) > EQUAL
+    changes = np.flatnonzero(np.any(np.diff(u, axis=0) != 0.0, axis=1))
+    here, next_one = (
+        np.all(np.abs(u[changes] - q[changes + ahead]) <= size, axis=1) for ahead in (0, 1)
     )
+    return changes.size > 0 and bool(max(here.mean(), next_one.mean()) > EQUAL)
 
 
 def _constant(motion: _Motion) -> Iterator[Finding]:
