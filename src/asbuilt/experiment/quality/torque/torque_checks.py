@@ -246,7 +246,7 @@ def _no_correlation(
     yield Finding(
         "torque_uncorrelated",
         "warning",
-        f"no measured torque correlates with the model's: {correlation[k]:.2f} for"
+        f"no torque of the log correlates with the model's: {correlation[k]:.2f} for"
         f" {model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
         Cure("check robot, columns and units, and gravity if the robot hangs or is on a wall"),
     )
