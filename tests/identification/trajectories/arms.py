@@ -47,11 +47,13 @@ def recorded_by_mujoco(
     seed: int = 0,
     noise: float = 0.0,
     steps: float = 0.0,
+    stribeck: float = 0.0,
 ) -> Recording:
     """Return a recording of MuJoCo's own position actuators, loaded from MJCF text.
 
     Goals are moved by the deadband and the lead, and force ranges by the speed, before each step.
-    Commands have `steps` [rad] up and down beside their sines.
+    Commands have `steps` [rad] up and down beside their sines. `stribeck` [N m] is what friction
+    near rest has more; it fades at 0.1 rad/s.
     """
     actuators = "".join(
         f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kd}"'
@@ -84,6 +86,12 @@ def recorded_by_mujoco(
         data.ctrl[:] = data.qpos + servo.acting(goal - data.qpos)
         if np.any(servo.falling):
             robot.actuator_forcerange[:] = np.stack(servo.bounds(data.qvel), axis=1)
+        if stribeck:
+            fading = stribeck * np.exp(-((data.qvel / 0.1) ** 2))
+            robot.dof_frictionloss[:] = [
+                joint.drive.coulomb + more
+                for joint, more in zip(model.joints, fading.tolist(), strict=True)
+            ]
         mujoco.mj_step(robot, data)
     measured = q + noise * np.random.default_rng(seed).standard_normal(q.shape)
     return Recording(

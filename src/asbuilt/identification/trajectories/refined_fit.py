@@ -9,9 +9,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_toward_cad
 from asbuilt.identification.identify import Fit
+from asbuilt.identification.trajectories.friction_search import simulated_prior
 from asbuilt.identification.trajectories.objective import Objective, Point
 from asbuilt.identification.trajectories.refinement import Refinement, Steps, refine
 from asbuilt.identification.trajectories.sensitivity import Trajectories
@@ -48,8 +48,8 @@ class RefinedFit:
         The servo as refined.
     start, robot
         The robots before and after.
-    refinement
-        How the search ended.
+    objective, refinement
+        What was minimised, and how the search ended.
     value_errors
         Standard errors of the drive parameters, shape (n, columns_per_joint).
     undetermined
@@ -62,6 +62,7 @@ class RefinedFit:
     servo: PositionServo | None
     start: SimulatedRobot
     robot: SimulatedRobot
+    objective: Objective
     refinement: Refinement
     value_errors: Array
     undetermined: tuple[str, ...]
@@ -96,12 +97,13 @@ def refine_fit(
     belief
         Weight of the divergence of links from CAD; infinite holds the links of CAD.
     begin
-        Standard parameters to begin with, (n_standard,); None: those of the fit.
+        Standard parameters to begin with, (n_standard,), found by trajectories before; None: those
+        of the fit, and other starts of an unknown servo.
     progress
         Called with the fraction done.
     """
     model, base = fit.model, fit.base
-    prior = cad_prior(model, base.drive)
+    prior = simulated_prior(model, base.drive)
     linear = fit.estimate
     if not isinstance(linear, ConsistentEstimate):
         linear = fit_toward_cad(fit.information, prior)
@@ -125,9 +127,11 @@ def refine_fit(
         ServoCoordinates() if servo is None else replace(wanted, lead=False),
     )
     first = start if begin is None else Point(begin, servo, starts)
-    if objective.of_servo.stiffness and servo is not None:
+    if objective.of_servo.stiffness and servo is not None and begin is None:
         first = _better_start(objective, first, servo)
-    if wanted.lead and servo is not None:
+    if wanted.lead and servo is not None and any(servo.lead):
+        objective = replace(objective, of_servo=wanted)
+    elif wanted.lead and servo is not None:
         objective, first = _with_lead(objective, first, servo)
     found = refine(objective, first, progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
@@ -170,6 +174,7 @@ def refine_fit(
         found.point.servo,
         before,
         built,
+        objective,
         found,
         objective.drive_errors(found.quadratic),
         open_names,

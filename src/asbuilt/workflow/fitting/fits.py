@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
@@ -19,6 +20,11 @@ from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.servo import with_delay_errors
 from asbuilt.workflow.simulation.refinement import Refined, refine_study
 from asbuilt.workflow.simulation.rollout import Simulated
+
+ADDED = (
+    "Stribeck friction was added since the simulated motion calls for it; simulators whose dry"
+    " friction is one number are served better by a fit without it: state the drive terms"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,13 +128,12 @@ def _fitted(
         else None
     )
     model = model if mounting is None else mounting.model
-    base = find_base_parameters(model, choice.drive)
 
-    def fitted(samples: Sequence[Samples]) -> Fit:
+    def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
             model,
             samples,
-            base=base,
+            base=find_base_parameters(model, drive),
             method=options.method,
             undetermined=options.undetermined,
             errors=options.errors,
@@ -140,13 +145,22 @@ def _fitted(
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
         return with_delay_errors(fit, servo)
 
-    final = fitted(used)
-    validated = fitted(prepared.training) if prepared.whole else final
-    refined = None
-    if options.refine is not None:
-        final, servo, refined = refine_study(final, parts, servo, options.rollout, report)
-        validated = final
-    return Fits(model, prepared, final, validated, choice, mounting, servo, refined)
+    if options.refine is None:
+        final = fitted(used, choice.drive)
+        validated = fitted(prepared.training, choice.drive) if prepared.whole else final
+        return Fits(model, prepared, final, validated, choice, mounting, servo, None)
+    found = refine_study(
+        lambda drive: fitted(used, drive),
+        choice.drive,
+        parts,
+        servo,
+        options.rollout,
+        report,
+        choose=not isinstance(options.drive, DriveSet),
+    )
+    if found.drive is not choice.drive:
+        choice = replace(choice, drive=found.drive, sentences=(*choice.sentences, ADDED))
+    return Fits(model, prepared, found.fit, found.fit, choice, mounting, found.servo, found.refined)
 
 
 def _predicted(fit: Fit, samples: Samples) -> Validation:

@@ -9,12 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.servo.servo_estimate import ServoEstimate, precedes_command
+from asbuilt.identification.trajectories.friction_search import (
+    promised_fall,
+    widened,
+)
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.servo_coordinates import (
     STIFFNESS_SPREAD,
@@ -30,6 +37,14 @@ USUAL = 0.5
 """Length of the windows [s] unless rollouts are asked for."""
 LONGEST = 1.0
 """Longest windows [s]: errors of the state at the start and unmodelled effects add up in them."""
+NO_EFFECT = 0.5
+"""Mean fall of the logarithmic likelihood by a parameter without effect."""
+WORTH = 1.0
+"""Fall by a parameter from which a fit predicts better (Akaike, IEEE Trans. Automatic Control 19,
+1974; the variance of scores is counted, Burnham and Anderson, Model Selection, 2002, section 2.5).
+"""
+SLOW = 0.1
+"""Speed at which Stribeck friction fades [rad/s or m/s]: the largest that `Stribeck` credits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,14 +88,45 @@ class Refined:
         }
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedStudy:
+    """Hold a refined fit, its servo, how the refinement went, and its drive terms."""
+
+    fit: Fit
+    servo: ServoEstimate | None
+    refined: Refined
+    drive: DriveSet
+
+
 def refine_study(
-    fit: Fit,
+    fitted: Callable[[DriveSet], Fit],
+    drive: DriveSet,
     parts: Sequence[Simulated],
     servo: ServoEstimate | None,
     horizons: Sequence[float],
     report: Callable[[str, float], None],
-) -> tuple[Fit, ServoEstimate | None, Refined]:
+    *,
+    choose: bool = False,
+) -> RefinedStudy:
     """Continue a fit by trajectories of training data.
+
+    Parameters
+    ----------
+    fitted
+        Returns the fit to torques with these drive terms.
+    drive
+        The drive terms.
+    parts
+        What is simulated.
+    servo
+        The position servo, if any.
+    horizons
+        Lengths of rollouts that are asked for [s].
+    report
+        Called with the name of a step and the fraction done.
+    choose
+        Whether Stribeck friction is added if by Akaike's criterion the trajectories call for it:
+        torques hardly show it, since joints at rest, and slow ones under a filter, do not count.
 
     Raises
     ------
@@ -89,6 +135,7 @@ def refine_study(
     RecordingError
         If no window fits into the training data.
     """
+    fit = fitted(drive)
     if np.any(fit.model.motor_shares):
         raise UsageError(
             f"{fit.model.name} has motors that turn with several joints; trajectories of such"
@@ -99,25 +146,63 @@ def refine_study(
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
     began = time.perf_counter()
     horizon = min(max(horizons, default=USUAL), LONGEST)
-    known = None if servo is None or kinds != {"command"} else servo.servo
-    refined = refine_fit(
-        fit,
-        _windows(parts, horizon),
-        known,
-        of_servo=_of_servo(servo),
-        progress=lambda fraction: report("refine", fraction),
+    windows = _windows(parts, horizon)
+    driven = servo if kinds == {"command"} else None
+
+    def refined(fit: Fit, servo: ServoEstimate | None, begin: Array | None = None) -> RefinedFit:
+        return refine_fit(
+            fit,
+            windows,
+            None if servo is None else servo.servo,
+            of_servo=_of_servo(servo),
+            begin=begin,
+            progress=lambda fraction: report("refine", fraction),
+        )
+
+    found = refined(fit, driven)
+    iterations = found.refinement.iterations
+    term = available_terms()["stribeck"].with_nonlinear({"velocity": SLOW})
+    if choose and _calls_for(found, term):
+        wider, n = drive.with_term(term), fit.model.n_joints
+        begin = widened(found.refinement.point.chi, drive, wider, n)
+        before = None if driven is None else _servo_as_refined(driven, found)
+        other = refined(fitted(wider), before, begin)
+        iterations += other.refinement.iterations
+        if _gained(found, other) > WORTH * n:
+            found, drive = replace(other, start=found.start), wider
+    return RefinedStudy(
+        found.fit,
+        servo if servo is None or driven is None else _servo_as_refined(servo, found),
+        Refined(horizon, iterations, time.perf_counter() - began, found.undetermined, found.start),
+        drive,
     )
-    return (
-        refined.fit,
-        None if servo is None else _servo_as_refined(servo, refined),
-        Refined(
-            horizon,
-            refined.refinement.iterations,
-            time.perf_counter() - began,
-            refined.undetermined,
-            refined.start,
-        ),
+
+
+def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
+    """Return whether the trajectories promise to be explained better with a term."""
+    objective = found.objective
+    keys, n = objective.trajectories.base.drive.keys, objective.trajectories.model.n_joints
+    if "coulomb" not in keys or term.key in keys:
+        return False
+    return promised_fall(objective, found.refinement, term) > NO_EFFECT * n
+
+
+def _gained(found: RefinedFit, other: RefinedFit) -> float:
+    """Return by how much the cost of the windows is lower in another fit, weights as in the first.
+
+    Infinite if only the first diverges.
+    """
+    weights = found.refinement.weights
+    one, two = (
+        sum(
+            float(np.sum(each))
+            for each in of.objective.window_costs(
+                of.refinement.point, of.refinement.motions, weights
+            )
+        )
+        for of in (found, other)
     )
+    return one - two if np.isfinite(two) else -np.inf
 
 
 def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
@@ -127,7 +212,7 @@ def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
     return ServoCoordinates(
         stiffness=any(x != "given" for x in servo.errors.scale),
         delay=servo.errors.delay > 0.0,
-        lead=precedes_command(servo),
+        lead=precedes_command(servo) or servo.errors.lead > 0.0,
         spread=_stiffness_spread(servo),
     )
 

@@ -1,0 +1,75 @@
+"""Whether trajectories call for a drive term that a refinement lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.trajectories.objective import Objective
+from asbuilt.identification.trajectories.refinement import Refinement
+from asbuilt.identification.trajectories.sensitivity import Trajectories
+
+FADING = ("stribeck",)
+"""Terms of friction near rest: of either sign for torques, but one below zero is no friction."""
+
+
+def simulated_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
+    """Return the prior of a robot whose friction near rest is at least that in motion.
+
+    With less, simulated joints that come to rest creep and slip.
+    """
+    prior = cad_prior(model, drive)
+    fading = [term.key in FADING for term in drive.terms for _ in term.symbols] * model.n_joints
+    bounded = np.union1d(prior.non_negative, 10 * model.n_links + np.flatnonzero(fading))
+    return replace(prior, non_negative=bounded)
+
+
+def widened(parameters: Array, drive: DriveSet, wider: DriveSet, n_joints: int) -> Array:
+    """Return standard parameters with the columns of a wider set of drive terms, new ones zero."""
+    links = len(parameters) - n_joints * drive.columns_per_joint
+    found = np.zeros((n_joints, wider.columns_per_joint))
+    found[:, ~_new(drive, wider)] = parameters[links:].reshape(n_joints, -1)
+    return np.concatenate([parameters[:links], found.ravel()])
+
+
+def promised_fall(objective: Objective, found: Refinement, term: DriveTerm) -> float:
+    """Return by how much a drive term would lower the cost, by the quadratic model at zero of it.
+
+    The score test: nothing is simulated anew (Rao, Proc. Cambridge Philos. Soc. 44, 1948).
+    """
+    model, drive = objective.trajectories.model, objective.trajectories.base.drive
+    n, wider = model.n_joints, drive.with_term(term)
+    points = [
+        replace(each, chi=widened(each.chi, drive, wider, n))
+        for each in (found.point, objective.start)
+    ]
+    wide = replace(
+        objective,
+        trajectories=Trajectories(model, find_base_parameters(model, wider)),
+        torque_weights=np.zeros(n),
+        prior=simulated_prior(model, wider),
+        start=points[1],
+    )
+    quadratic = wide.quadratic(points[0], found.motions, found.weights)
+    free = ~wide.at_bound(points[0], quadratic.gradient)
+    links, per = 10 * model.n_links, np.tile(_new(drive, wider), n)
+    added = np.zeros_like(free)
+    added[links : links + len(per)] = per
+
+    def fall(among: Mask) -> float:
+        g = quadratic.gradient[among]
+        return 0.5 * float(g @ np.linalg.solve(quadratic.matrix[np.ix_(among, among)], g))
+
+    return fall(free) - fall(free & ~added)
+
+
+def _new(drive: DriveSet, wider: DriveSet) -> Mask:
+    """Return which columns of a joint belong to terms that only the wider set has."""
+    return np.array([term.key not in drive.keys for term in wider.terms for _ in term.symbols])
