@@ -6,6 +6,7 @@ Against the full Jacobian, and against what fits to fresh noise do.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.errors.error_basis import ErrorKind
 from asbuilt.identification.errors.nonlinear_errors import nonlinear_errors
 from asbuilt.identification.estimators.least_squares import estimate_wls
-from asbuilt.identification.identify import identify_samples
+from asbuilt.identification.identify import carrying, identify_samples
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.result import IdentificationResult
@@ -35,6 +36,11 @@ NONLINEAR = {
         "viscous,coulomb,stribeck:velocity=0.1,offset",
         [1.0, 2.0, 1.0, 0.3],
         "viscous,coulomb,stribeck,offset",
+    ),
+    "load_stribeck": (
+        "viscous,coulomb,load_stribeck:velocity=0.1,offset",
+        [1.0, 2.0, 0.2, 0.3],
+        "viscous,coulomb,load_stribeck,offset",
     ),
     "smooth_coulomb": (
         "viscous,smooth_coulomb:width=0.1,offset",
@@ -51,8 +57,9 @@ def samples_of(
     drive, values, _ = NONLINEAR[term]
     motion = random_fourier(model, 3, duration=20.0).sample(100.0)
     state = motion.q, motion.qd, motion.qdd
-    tau = inverse_dynamics(model, *state) + drive_torque(
-        DriveSet.parse(drive), np.tile(values, model.n_joints), *state
+    load = inverse_dynamics(model, *state)
+    tau = load + drive_torque(
+        DriveSet.parse(drive), np.tile(values, model.n_joints), *state, load=load
     )
     spread = noise * (1.0 + joint_noise * np.arange(model.n_joints))
     tau = tau + spread * np.random.default_rng(seed).normal(size=tau.shape)
@@ -73,8 +80,13 @@ def fitted(
     )
 
 
-@pytest.mark.parametrize("robot", ["scara", "two-link", "ur10e"])
-@pytest.mark.parametrize("term", [*NONLINEAR])
+@pytest.mark.parametrize(
+    ("robot", "term"),
+    [
+        *product(("scara", "two-link", "ur10e"), ("power", "stribeck", "smooth_coulomb")),
+        ("two-link", "load_stribeck"),
+    ],
+)
 def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
     """Nonlinear parameters as further unknowns beside everything linear.
 
@@ -93,8 +105,9 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
 
     def columns(parameters: np.ndarray) -> np.ndarray:
         moved = drive.with_term(nonlinear.with_nonlinear({name: tuple(parameters.tolist())}))
-        return observation_matrix(model, *state, drive=moved, columns=base.columns)
+        return observation_matrix(loading, *state, drive=moved, columns=base.columns)
 
+    loading = carrying(model, base, result.estimates) if drive.needs_load else model
     at = np.array([nonlinear.at(k).value(name) for k in range(n)])
     weights = np.tile(1.0 / result.sigma, samples.t.size)
     told = [

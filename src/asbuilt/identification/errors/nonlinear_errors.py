@@ -14,6 +14,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
@@ -83,11 +84,11 @@ def nonlinear_errors(
     W (W^T W)^-1 W^T C`, their covariance is `V = (C'^T C')^-1`, each error at least that from time
     blocks (`sum_b (C'^T e)_b^2`) unless `textbook`. The estimate follows by `G = -(W^T W)^-1 W^T
     C`, so its covariance grows by `G V G^T`: that of the fit with columns `[W C]` (Frisch and
-    Waugh, Econometrica 1, 1933).
+    Waugh, Econometrica 1, 1933). The load of load-dependent terms is that of `model`.
     """
     nonlinear = {(place.term, place.parameter): None for place in places}
     changes, first = (
-        _Changes(base, estimate.beta, list(nonlinear), model.n_joints),
+        _Changes(model, base, estimate.beta, list(nonlinear)),
         [list(nonlinear).index((place.term, place.parameter)) for place in places],
     )
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + len(nonlinear))
@@ -153,8 +154,14 @@ class _Changes:
     """Hold the derivative of every joint's torque by each nonlinear parameter."""
 
     def __init__(
-        self, base: BaseParameters, beta: Array, nonlinear: Sequence[tuple[str, str]], n_joints: int
+        self,
+        model: RobotModel,
+        base: BaseParameters,
+        beta: Array,
+        nonlinear: Sequence[tuple[str, str]],
     ) -> None:
+        n_joints = model.n_joints
+        self._loading = model if base.drive.needs_load else None
         chi = np.zeros(base.n_standard)
         chi[base.columns] = beta
         values = chi[10 * base.n_links :].reshape(n_joints, -1)
@@ -178,8 +185,13 @@ class _Changes:
 
         def on(span: slice) -> list[Array]:
             state = samples.q[span], samples.qd[span], samples.qdd[span]
+            load = None if self._loading is None else inverse_dynamics(self._loading, *state)
+
+            def torque(side: DriveSet, values: Array) -> Array:
+                return drive_torque(side, values, *state, load=load)
+
             return [
-                (drive_torque(ahead, values, *state) - drive_torque(behind, values, *state)) / step
+                (torque(ahead, values) - torque(behind, values)) / step
                 for (ahead, behind), values, step in self._moved
             ]
 
