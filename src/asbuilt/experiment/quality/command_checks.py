@@ -328,7 +328,7 @@ def _clock(motion: _Motion) -> Iterator[Finding]:
 
 
 def _lost(motion: _Motion) -> Iterator[Finding]:
-    """Find joints that do not go where they are told."""
+    """Find joints that do not go where they are commanded."""
     for j in motion.moving:
         r, _ = motion.best(j, j, (-2 * motion.step, THRESHOLDS.searched))
         if r < THRESHOLDS.lost:

@@ -198,16 +198,16 @@ def draw_ensemble(
 def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
     """Return a note on links whose mass in the draws (N, n_standard) is far from that of CAD."""
     masses = np.quantile(drawn[:, 9 : 10 * result.model.n_links : 10], QUANTILES, axis=0)
-    told = []
+    unlike = []
     for link, (low, _, high) in zip(result.model.links, masses.T, strict=True):
         cad = link.inertia.mass
         if link.inertia_known and cad > 0.0 and (high > UNLIKE * cad or low < cad / UNLIKE):
-            told.append(f"{link.name} {low:.3g} to {high:.3g} kg, CAD {cad:.3g} kg")
-    if not told:
+            unlike.append(f"{link.name} {low:.3g} to {high:.3g} kg, CAD {cad:.3g} kg")
+    if not unlike:
         return []
     return [
         "the recordings allow masses unlike those of CAD (5 to 95 % of the draws):"
-        f" {'; '.join(told)}. Give masses that are known, or record more motion"
+        f" {'; '.join(unlike)}. Give masses that are known, or record more motion"
     ]
 
 

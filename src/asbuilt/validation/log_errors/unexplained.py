@@ -22,16 +22,16 @@ PARTS, LONGEST, MOST = 20, 10, 0.8
 """Parts of the time; how many in a row, at most, have this share of the squared error if it comes
 and goes."""
 ONE_SIDED = 0.5
-"""Mean error over its RMS from which that stretch is pushed: contacts of 4 s in virtual logs of two
+"""Mean error over its RMS from which that span is pushed: contacts of 4 s in virtual logs of two
 arms have 0.55 and 0.75, errors in nine real recordings at most 0.34."""
 PUSHED = 0.1
-"""RMS error in that stretch over the standard deviation of a joint's torque that is a push."""
+"""RMS error in that span over the standard deviation of a joint's torque that is a push."""
 
 
 def unexplained_findings(training: Sequence[Validation]) -> Iterator[Finding]:
     """Name joints whose torque the model explains by less than three quarters of its variance.
 
-    Also those whose error is mostly one push, a torque of one sign in one stretch of time. A torque
+    Also those whose error is mostly one push, a torque of one sign in one span of time. A torque
     that is small beside that of other joints is left out: friction and noise may be most of it.
     """
     for each in training:
@@ -65,7 +65,7 @@ def when_large(t: Array, error: Array) -> str:
 
 
 def large_stretch(t: Array, error: Array) -> Mask | None:
-    """Return the samples (N,) of the shortest stretch with most of the squared error (N,).
+    """Return the samples (N,) of the shortest span with most of the squared error (N,).
 
     None if that is more than half the time.
     """
@@ -81,6 +81,6 @@ def large_stretch(t: Array, error: Array) -> Mask | None:
 
 
 def _is_push(error: Array, spread: float) -> bool:
-    """Return whether errors (N,) of a stretch are large and of one sign."""
+    """Return whether errors (N,) of a span are large and of one sign."""
     size = float(np.sqrt(np.mean(error**2)))
     return size > PUSHED * spread and abs(float(np.mean(error))) > ONE_SIDED * size

@@ -212,7 +212,7 @@ def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
     return ServoCoordinates(
         stiffness=any(x != "given" for x in servo.errors.scale),
         delay=servo.errors.delay > 0.0,
-        lead=precedes_command(servo) or servo.errors.lead > 0.0,
+        lead=servo.errors.lead > 0.0 or (precedes_command(servo) and not any(servo.servo.lead)),
         spread=_stiffness_spread(servo),
     )
 

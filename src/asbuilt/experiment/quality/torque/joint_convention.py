@@ -72,7 +72,7 @@ class Conventions:
 
     @property
     def key(self) -> tuple[bytes, ...]:
-        """What tells conventions apart, in whichever order they were reached."""
+        """What distinguishes conventions, in whichever order they were reached."""
         return tuple(each.tobytes() for each in (self.position_sign, self.torque_sign, self.zero))
 
     def with_joint(self, k: int, position: float, torque: float, zero: float) -> Conventions:
