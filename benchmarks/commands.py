@@ -5,7 +5,8 @@
 `go2`: windows of 2 s that were held out, and the CPU time of the fit without and with the rollout.
 `so101`: trained on four motions, windows of 0.5 s of ten others; the delayed command, the robot as
 described, the linear fit, the refined one, and the last without outlying windows. `halves`: the
-parameters of the SO-101 from odd and even motions, their difference in its standard error.
+parameters of the SO-101 from odd and even motions, linear and refined, their difference in its
+standard error.
 Recordings are those of `../shared`; without them nothing is measured. Errors are in mrad.
 """
 
@@ -100,8 +101,13 @@ def so101() -> dict[str, dict[str, float]]:
 
 def halves() -> dict[str, float]:
     """Return the RMS of differences between odd and even motions, in their standard errors."""
+    found = _differences("linear", None)
+    return found | _differences("refined", "rollout")
+
+
+def _differences(fit: str, refine: str | None) -> dict[str, float]:
     names = sorted((*TRAINED, *OTHERS))
-    one, other = (_fitted(part, (), None).result for part in (names[::2], names[1::2]))
+    one, other = (_fitted(part, (), refine).result for part in (names[::2], names[1::2]))
     found = {}
     both = {each.name: each for each in other.parameters}
     for kind, label in KINDS.items():
@@ -111,8 +117,8 @@ def halves() -> dict[str, float]:
             for each in one.parameters
             if each.name.startswith(kind) and each.name in both
         ]
-        found[f"{label}, RMS z"] = float(np.sqrt(np.mean(np.square(z))))
-        found[f"{label}, largest z"] = float(np.max(np.abs(z)))
+        found[f"{fit}, {label}, RMS z"] = float(np.sqrt(np.mean(np.square(z))))
+        found[f"{fit}, {label}, largest z"] = float(np.max(np.abs(z)))
     return found
 
 
@@ -151,4 +157,4 @@ if __name__ == "__main__":
                 print(f"{row:<22}{line}")
         else:
             for name, value in (go2() if part == "go2" else halves()).items():
-                print(f"{name:<28} {value:8.3g}")
+                print(f"{name:<34} {value:8.3g}")

@@ -1,5 +1,7 @@
 """Torque of a position servo against MuJoCo's position actuator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -127,3 +129,16 @@ def test_direction_is_unknown_below_half_a_step_of_the_encoder_in_a_period():
     coarse, fine = direction_speeds(Recording(t=t, q=q, tau=q), cutoff=8.0)
     assert coarse == pytest.approx(np.pi * 8.0 * step)
     assert fine < 0.05 * coarse
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.24])
+def test_the_limit_cuts_what_a_lead_makes_of_a_step(size):
+    """The impulse of a step: all of kp lead size, or the limit for a tick, as a servo has it."""
+    t = np.arange(100) * 0.02
+    command = np.where(t < 1.0, 0.0, size)[:, None]
+    servo = PositionServo(kp=(11.5,), kd=(0.0,), lead=(0.024,), torque_limit=(4.3,))
+    log = Recording(t=t, q=0.0 * command, tau=0.0 * command, command=command, servo=servo)
+    plain = replace(log, servo=replace(servo, lead=(0.0,)))
+    impulse = 11.5 * float(np.sum(held_command(log) - held_command(plain))) * 0.02
+    pulse = np.clip(11.5 * 0.024 * size / 1e-3, -4.3, 4.3) * 1e-3
+    assert impulse == pytest.approx(pulse, rel=1e-6)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 FEWEST = 4
 """Samples of a command below which it has no curve."""
+TICK = 1e-3
+"""Period [s] in which a servo, as simulated, compares its control error with the one before."""
 DROOP = 1.0 / 24.0
 """Outer weight of the filter `[w, 1 - 2 w, w]` whose response is that of a held sample,
 `sinc(f T)`, to the fourth order in the frequency f."""
@@ -86,11 +88,31 @@ class CommandCurve:
 
 
 def _led(recording: Recording, delay: float, derivative: int, curve: CommandCurve | None) -> Array:
-    """Return a derivative of the goal and of its rate times the lead, shape (N, n)."""
-    if recording.servo is None or not np.any(recording.servo.leads):
+    """Return a derivative of the goal and of its rate times the lead, shape (N, n).
+
+    A step of the command is a pulse of `TICK` in the rate, whose torque the limit cuts, so larger
+    steps count no more than one that reaches the limit. A limited goal has no steps.
+    """
+    servo = recording.servo
+    if servo is None or not np.any(servo.leads):
         return _acting(recording, delay, derivative, curve)
-    goal, rate = (_acting(recording, delay, derivative + more, curve) for more in (0, 1))
-    return goal + recording.servo.leads * rate
+    goal = _acting(recording, delay, derivative, curve)
+    if not servo.limits_goal:
+        recording, curve = replace(recording, command=_with_small_steps(recording, servo)), None
+    return goal + servo.leads * _acting(recording, delay, derivative + 1, curve)
+
+
+def _with_small_steps(recording: Recording, servo: PositionServo) -> Array:
+    """Return the command (N, n) with steps up to those whose rate, times the lead, is the limit."""
+    command = _command(recording)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        largest = np.array(servo.torque_limit) * TICK / (np.array(servo.kp) * servo.leads)
+    most = np.nan_to_num(largest, nan=np.inf, posinf=np.inf)
+    steps = np.diff(np.nan_to_num(command), axis=0)
+    if np.all(np.abs(steps) <= most):
+        return command
+    small = np.cumsum(np.clip(steps, -most, most), axis=0)
+    return np.where(np.isfinite(command), np.vstack([0.0 * small[:1], small]), np.nan)
 
 
 def _acting(
