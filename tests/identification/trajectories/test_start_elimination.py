@@ -31,3 +31,15 @@ def test_parameters_and_starts_are_those_of_one_least_squares_problem() -> None:
     alone = np.linalg.lstsq(A[:, p:], b)[0]
     left = np.sum((b - A[:, p:] @ alone) ** 2)
     assert found.gain == pytest.approx(0.5 * (b @ b - left), rel=1e-10)
+
+
+def test_a_chaotic_window_says_nothing() -> None:
+    rng = np.random.default_rng(0)
+    J, e = rng.standard_normal((3, 12, 5)), rng.standard_normal((3, 12))
+    stiff, off = np.ones(2), np.zeros((3, 2))
+    tame = eliminate_starts(J[:2], e[:2], stiff, off[:2])
+    J[2] *= 1e50
+    found = eliminate_starts(J, e, stiff, off)
+    np.testing.assert_allclose(found.matrix, tame.matrix, rtol=1e-12)
+    assert not np.any(found.scores[2])
+    assert not np.any(found.to_best[2])

@@ -25,6 +25,11 @@ class StartModel:
     by_parameters: Array
 
 
+WILD = 1e8
+"""Derivative of weighted errors from which a motion is chaotic, such as stick and slip: a change of
+a hundred millionth of a parameter or start moves it by its whole error."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Eliminated:
     """Hold what w windows say of p parameters, their starts (s numbers each) at their best.
@@ -44,6 +49,8 @@ class Eliminated:
 def eliminate_starts(J: Array, e: Array, stiff: Array, off: Array) -> Eliminated:
     """Eliminate the starts y from `|e - J (x, y)|^2 + stiff |off + y|^2` (Schur complement).
 
+    Windows whose motion is wild (`WILD`) say nothing, and their starts go back to the measured.
+
     Parameters
     ----------
     J
@@ -57,6 +64,9 @@ def eliminate_starts(J: Array, e: Array, stiff: Array, off: Array) -> Eliminated
     """
     s = len(stiff)
     p = J.shape[2] - s
+    wild = np.max(np.abs(J), axis=(1, 2)) > WILD
+    if np.any(wild):
+        J, e = (np.where(wild.reshape(-1, *[1] * (x.ndim - 1)), 0.0, x) for x in (J, e))
     normal = J.transpose(0, 2, 1) @ J
     right = np.einsum("wrp,wr->wp", J, e)
     normal[:, range(p, p + s), range(p, p + s)] += stiff
