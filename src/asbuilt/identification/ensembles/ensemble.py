@@ -184,6 +184,11 @@ def draw_ensemble(
     asked = np.vstack([result.estimates, drawn])
     chi, chi_square = consistent_draws(prior, result.base, asked, root, workers=workers)
     centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
+    if result.servo_errors is not None and result.servo_errors.lead:
+        notes.append(
+            "the lead of the servo is the identified one in every draw; its standard error is"
+            f" {1e3 * result.servo_errors.lead:.2g} ms"
+        )
     if any(term.nonlinear for term in result.base.drive.terms):
         notes.append("nonlinear parameters of drive terms are the identified ones in every draw")
     if np.any(far := chi_square > 1.0):
