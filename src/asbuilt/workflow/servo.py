@@ -104,14 +104,21 @@ def servo_delays(
     found: ServoEstimate | None, recordings: Sequence[Recorded], digests: Sequence[str]
 ) -> tuple[RecordingDelay, ...]:
     """Return the delay of the command of every recording."""
-    if found is None or found.servo.delay is None:
+    if found is None:
         return ()
-    error = found.errors.delay if found.errors.delay > 0.0 else np.nan
-    estimate = found.servo.delay if error > 0.0 else np.nan
-    return tuple(
-        RecordingDelay(recording_name(item.source), digest, estimate, error, found.servo.delay)
-        for item, digest in zip(recordings, digests, strict=True)
-    )
+    names = [recording_name(item.source) for item in recordings]
+    return delays_of(found, tuple(zip(names, digests, strict=True)))
+
+
+def delays_of(
+    found: ServoEstimate, recordings: Sequence[tuple[str, str]]
+) -> tuple[RecordingDelay, ...]:
+    """Return the delay of a servo as that of recordings, given by name and digest."""
+    late, error = found.servo.delay, found.errors.delay
+    if late is None:
+        return ()
+    estimate, error = (late, error) if error > 0.0 else (np.nan, np.nan)
+    return tuple(RecordingDelay(*each, estimate, error, late) for each in recordings)
 
 
 def _stated_delay(chain: SignalChain) -> float | None:

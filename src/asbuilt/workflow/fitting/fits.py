@@ -17,7 +17,7 @@ from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
-from asbuilt.workflow.servo import with_delay_errors
+from asbuilt.workflow.servo import delays_of, with_delay_errors
 from asbuilt.workflow.simulation.refinement import Refined, refine_study
 from asbuilt.workflow.simulation.rollout import Simulated
 
@@ -160,6 +160,9 @@ def _fitted(
     )
     if found.drive is not choice.drive:
         choice = replace(choice, drive=found.drive, sentences=(*choice.sentences, ADDED))
+    if found.servo is not None:
+        late = tuple((each.source, each.digest) for each in prepared.delay)
+        prepared = replace(prepared, delay=delays_of(found.servo, late))
     return Fits(model, prepared, found.fit, found.fit, choice, mounting, found.servo, found.refined)
 
 
