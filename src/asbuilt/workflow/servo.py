@@ -301,7 +301,8 @@ def servo_findings(
                 "info",
                 "The torque preceded the command, which no delay does: the servo was taken to have"
                 f" a gain on the rate of its control error, {lead} ms times its stiffness, beside a"
-                f" delay of {late} ms; viscous friction includes its damping",
+                f" delay of {late} ms; viscous friction includes its damping. Positions that are"
+                " logged late look alike in smooth motion",
                 Cure("state the lead and the torque limit if they are known, or record steps"),
             )
         )
