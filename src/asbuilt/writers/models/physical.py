@@ -95,10 +95,13 @@ def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> t
         key if len(names) == model.n_joints else f"{key} ({', '.join(names)})"
         for key, names in joints.items()
     )
+    best = ""
+    if "stribeck" in joints:
+        best = "; a fit with the drive terms armature, viscous, coulomb and offset serves it best"
     return (
         (
             f"{kind} has no place for the drive terms {said}; its torques lack them (robot files"
-            " of asbuilt hold all)"
+            f" of asbuilt hold all{best})"
         ),
     )
 
