@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure, joined
@@ -316,6 +316,18 @@ def median_rate(t: Array) -> float:
 def time_span(t: Array) -> float:
     """Return the time from the earliest to the latest of times (N,) [s]."""
     return float(np.nanmax(t) - np.nanmin(t)) if np.any(np.isfinite(t)) else float("nan")
+
+
+def advancing(t: Array, kept: Mask) -> Mask:
+    """Return which of the kept rows (N,) are later than all kept ones before them.
+
+    Examples
+    --------
+    >>> advancing(np.array([0.0, 2.0, 1.0, 3.0]), np.array([True, True, True, False])).tolist()
+    [True, True, False, False]
+    """
+    latest = np.maximum.accumulate(np.where(kept, t, -np.inf))
+    return np.asarray(kept & (t > np.concatenate([[-np.inf], latest[:-1]])))
 
 
 def _read_only(value: ArrayLike, name: str, source: str) -> Array:

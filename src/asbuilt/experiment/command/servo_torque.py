@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, advancing
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -142,9 +142,7 @@ def _command(recording: Recording) -> Array:
 def _counting(recording: Recording) -> Mask:
     """Return the samples with a command, at times that increase (N,)."""
     t = recording.t
-    rows = np.isfinite(t) & np.all(np.isfinite(_command(recording)), axis=1)
-    rows[rows] = t[rows] > np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
-    return np.asarray(rows)
+    return advancing(t, np.isfinite(t) & np.all(np.isfinite(_command(recording)), axis=1))
 
 
 def _spline(t: Array, x: Array) -> CubicSpline:

@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, advancing
 from asbuilt.findings import Cure, Finding, joined
 
 SHEET_UNITS: Mapping[str, float] = MappingProxyType(
@@ -132,8 +132,7 @@ def _motion(model: RobotModel, recording: Recording) -> _Motion | None:
     """Return what is compared; None where too little moves or is known."""
     assert recording.command is not None
     t, q, u = recording.t, recording.q, recording.command
-    rows = np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1)
-    rows[rows] = t[rows] > np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
+    rows = advancing(t, np.isfinite(t) & np.all(np.isfinite(q) & np.isfinite(u), axis=1))
     t, q, u = t[rows], q[rows], u[rows]
     if t.size < 4:
         return None

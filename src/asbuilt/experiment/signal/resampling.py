@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.kernels.compilation import compiled
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, advancing
 from asbuilt.experiment.signal.bridging import bridged
 from asbuilt.findings import Cure
 
@@ -67,13 +67,12 @@ def uniform_segments(
         notes.append(
             f"{n - int(kept.sum())} of {n} samples with NaN or infinite values were dropped"
         )
-    latest = np.maximum.accumulate(np.where(kept, recording.t, -np.inf))
-    advancing = kept & np.concatenate([[True], recording.t[1:] > latest[:-1]])
-    if not np.array_equal(advancing, kept):
+    later = advancing(recording.t, kept)
+    if not np.array_equal(later, kept):
         notes.append(
-            f"{int(kept.sum() - advancing.sum())} samples whose time does not increase were dropped"
+            f"{int(kept.sum() - later.sum())} samples whose time does not increase were dropped"
         )
-    index = np.flatnonzero(advancing)
+    index = np.flatnonzero(later)
     kept_rows = _not_repeated(recording, index)
     if kept_rows.size < index.size:
         notes.append(

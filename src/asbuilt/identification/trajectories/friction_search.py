@@ -62,12 +62,7 @@ def promised_fall(objective: Objective, found: Refinement, term: DriveTerm) -> f
     links, per = 10 * model.n_links, np.tile(_new(drive, wider), n)
     added = np.zeros_like(free)
     added[links : links + len(per)] = per
-
-    def fall(among: Mask) -> float:
-        g = quadratic.gradient[among]
-        return 0.5 * float(g @ np.linalg.solve(quadratic.matrix[np.ix_(among, among)], g))
-
-    return fall(free) - fall(free & ~added)
+    return quadratic.fall(free) - quadratic.fall(free & ~added)
 
 
 def _new(drive: DriveSet, wider: DriveSet) -> Mask:

@@ -71,6 +71,11 @@ class Quadratic:
     starts: tuple[StartModel, ...]
     gain: float
 
+    def fall(self, free: Mask) -> float:
+        """Return by how much the cost falls if only the free coordinates (m,) move, to its best."""
+        g = self.gradient[free]
+        return 0.5 * float(g @ np.linalg.solve(self.matrix[np.ix_(free, free)], g))
+
 
 @dataclass(frozen=True, eq=False)
 class Objective:

@@ -154,12 +154,9 @@ def score_inflation(quadratic: Quadratic, weights: Weights) -> float:
 
 def _settled(objective: Objective, point: Point, quadratic: Quadratic, enough: float) -> bool:
     """Return whether parameters, and on average starts, are close to their minimum."""
-    free = np.flatnonzero(~objective.at_bound(point, quadratic.gradient))
-    H, g = quadratic.matrix[np.ix_(free, free)], quadratic.gradient[free]
+    free = ~objective.at_bound(point, quadratic.gradient)
     starts = sum(start.size for start in point.starts)
-    return bool(
-        0.5 * float(g @ np.linalg.solve(H, g)) < enough and quadratic.gain < enough * starts
-    )
+    return quadratic.fall(free) < enough and quadratic.gain < enough * starts
 
 
 def _step(

@@ -18,10 +18,7 @@ from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.servo.servo_estimate import ServoEstimate, precedes_command
-from asbuilt.identification.trajectories.friction_search import (
-    promised_fall,
-    widened,
-)
+from asbuilt.identification.trajectories.friction_search import promised_fall, widened
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.servo_coordinates import (
     STIFFNESS_SPREAD,
@@ -43,8 +40,6 @@ WORTH = 1.0
 """Fall by a parameter from which a fit predicts better (Akaike, IEEE Trans. Automatic Control 19,
 1974; the variance of scores is counted, Burnham and Anderson, Model Selection, 2002, section 2.5).
 """
-SLOW = 0.1
-"""Speed at which Stribeck friction fades [rad/s or m/s]: the largest that `Stribeck` credits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +156,8 @@ def refine_study(
 
     found = refined(fit, driven)
     iterations = found.refinement.iterations
-    term = available_terms()["stribeck"].with_nonlinear({"velocity": SLOW})
+    term = available_terms()["stribeck"]
+    term = term.with_nonlinear({each.name: each.default for each in term.nonlinear if each.fitted})
     if choose and _calls_for(found, term):
         wider, n = drive.with_term(term), fit.model.n_joints
         begin = widened(found.refinement.point.chi, drive, wider, n)

@@ -12,7 +12,7 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import Recording, advancing
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
@@ -158,10 +158,7 @@ def _valid(recording: Recording, *, velocities: bool) -> Mask:
     columns = [recording.t[:, None], recording.q, recording.tau]
     if velocities and recording.qd is not None:
         columns.append(recording.qd)
-    kept = np.all(np.isfinite(np.hstack(columns)), axis=1)
-    t = np.where(kept, recording.t, -np.inf)
-    latest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
-    return np.asarray(kept & (t > latest))
+    return advancing(recording.t, np.all(np.isfinite(np.hstack(columns)), axis=1))
 
 
 def _joined(first: Recording, second: Recording) -> Recording:
