@@ -17,6 +17,7 @@ from asbuilt.identification.bodies.known_masses import (
     total_mass_from_text,
     with_known_masses,
 )
+from asbuilt.identification.effects.wanted import EffectsWanted
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
 from asbuilt.identification.estimators.methods import methods
 
@@ -120,8 +121,11 @@ class StudyOptions:
         out.
     undetermined
         Directions that no motion excites stay at CAD and are named, or are refused.
+    effects
+        What the recordings show and the description lacks is put into the model ("auto"), named
+        ("find"), not looked for ("none"), or is that of a list such as "spring:joints=2,tilt".
     mounting
-        Gravity points as described, or its direction is identified too.
+        Gravity points as described, or its direction is identified too: the effect `tilt`.
     total_mass
         Limits of the mass of all moving links [kg], or text such as "18.6+-0.1" or
         "24.2+-0.1,root=5.6"; fit and export keep them.
@@ -169,6 +173,13 @@ class StudyOptions:
         choices={"cad": "toward_prior", "refuse": "refuse"},
         also=("--prior",),
     )
+    effects: EffectsWanted | str = _option(
+        EffectsWanted(),
+        "HOW",
+        "effects that the description lacks: auto (into the model), find (named), none, or a list"
+        " such as spring:joints=2,tilt",
+        parse=EffectsWanted.parse,
+    )
     mounting: Literal["as_described", "estimate"] = _option(
         "as_described",
         "HOW",
@@ -211,12 +222,19 @@ class StudyOptions:
 
     def __post_init__(self) -> None:
         _check_rule(self.holdout)
+        if isinstance(self.effects, str):
+            object.__setattr__(self, "effects", EffectsWanted.parse(self.effects))
         if isinstance(self.drive, str):
             object.__setattr__(self, "drive", _drive(self.drive))
         if isinstance(self.total_mass, str):
             object.__setattr__(self, "total_mass", total_mass_from_text(self.total_mass))
         if isinstance(self.link_mass, str):
             object.__setattr__(self, "link_mass", link_masses_from_text(self.link_mass))
+
+    @property
+    def wanted_effects(self) -> EffectsWanted:
+        """The effects, parsed."""
+        return EffectsWanted.parse(self.effects) if isinstance(self.effects, str) else self.effects
 
     def with_known_masses(self, model: RobotModel) -> RobotModel:
         """Return a robot with the known masses; raises `UsageError` if it has no such links."""

@@ -160,7 +160,7 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
             consistent = fit_consistent(information, prior)
         except AsbuiltError as problem:
             return free, f"{free.method}: the consistent fit failed ({problem})", ()
-        effect = _design_effect(information, consistent)
+        effect = design_effect(information, consistent)
         masses = any(link.inertia_known and link.inertia.mass > 0.0 for link in data.model.links)
         weights = [effect * each for each in RULES.beliefs] if masses else []
         parts = list(folds(information, different_motions(information, consistent.weights)))
@@ -180,14 +180,14 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
                 parts,
                 information,
                 consistent.weights,
-                _prior_information(information, prior),
+                prior_information(information, prior),
                 motion,
                 effect * free_energy / (information.n_samples * information.n_joints),
             ),
         )
 
 
-def _design_effect(information: SquareRootInformation, estimate: Estimate) -> float:
+def design_effect(information: SquareRootInformation, estimate: Estimate) -> float:
     """Return samples per independent sample of the residuals' noise.
 
     What blocks of like motion share is no noise, and not counted: the error on motions held out
@@ -200,7 +200,7 @@ def _design_effect(information: SquareRootInformation, estimate: Estimate) -> fl
     return max(1.0, information.n_samples / max(effective, 1.0))
 
 
-def _prior_information(information: SquareRootInformation, prior: CadPrior) -> Array:
+def prior_information(information: SquareRootInformation, prior: CadPrior) -> Array:
     """Return the information (p, p) of CAD on base parameters: `(K M^-1 K^T)^-1`, M its metric."""
     regrouping, inertial = information.base.regrouping, 10 * prior.n_links
     links = regrouping[:, :inertial].reshape(-1, prior.n_links, 10)

@@ -22,6 +22,7 @@ from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Finding
+from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.errors.block_scatter import BlockScatter
 from asbuilt.identification.errors.error_basis import ErrorBasis
 from asbuilt.identification.information.cause_data import CauseData
@@ -158,6 +159,8 @@ class IdentificationResult:
         fit to everything; else None.
     bias
         Part (p, p) of the covariance by effects that the model lacks; None without one.
+    effects
+        What the recordings show and the description lacks, in the model or not.
     """
 
     model: RobotModel
@@ -198,6 +201,7 @@ class IdentificationResult:
     corrected: tuple[str, ...] = ()
     trained: Array | None = None
     bias: Array | None = None
+    effects: tuple[FoundEffect, ...] = ()
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints

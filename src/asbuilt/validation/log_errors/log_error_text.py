@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.dynamics.drives.terms.spring import Spring
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.calibration.mounting import Mounting
@@ -35,14 +34,12 @@ def log_error_findings(
     result: IdentificationResult,
     training: Sequence[Samples],
     *,
-    springs: bool = True,
     mounting: Mounting | None = None,
     block_seconds: float | None = None,
 ) -> tuple[Finding, ...]:
     """Return findings that name the errors of the log which the residual shows.
 
-    Springs, which are errors of the model, are named with them unless `springs` says that they are
-    already. The mounting is that of `log_errors`.
+    The mounting is that of `log_errors`.
     """
     flat = _plateaus(result, training, block_seconds)
     rest = without_plateaus(training, flat) if flat else training
@@ -52,7 +49,7 @@ def log_error_findings(
     others = [each for each in sought.errors if each.kind != "nonlinear" or each.joint not in named]
     return (
         *(_saturated(result, joint, flat) for joint in held),
-        *_findings(result, others, springs),
+        *_findings(result, others),
         *_unseen_clock(sought),
         *_unseen_zeros(result, sought),
         *_unseen_gains(result, sought),
@@ -146,11 +143,9 @@ def _saturated(result: IdentificationResult, joint: int, flat: Sequence[Plateau]
     )
 
 
-def _findings(
-    result: IdentificationResult, found: Sequence[LogError], springs: bool
-) -> Iterator[Finding]:
+def _findings(result: IdentificationResult, found: Sequence[LogError]) -> Iterator[Finding]:
     for each in found:
-        if each.kind == "spring" and not springs:
+        if each.kind not in _SAID:
             continue
         said = _SAID[each.kind](result, each)
         explained = f"; that explains {100 * each.share:.0f} % of the squared residual"
@@ -250,24 +245,6 @@ def _warming(result: IdentificationResult, each: LogError) -> Finding:
     )
 
 
-def _spring(result: IdentificationResult, each: LogError) -> Finding:
-    joint = result.model.joint_names.index(str(each.joint)) + 1
-    terms = ",".join((*result.base.drive.without(Spring.key).specifications, _spring_at(joint)))
-    unit = "N m/rad" if result.model.joints[joint - 1].is_revolute else "N/m"
-    return Finding(
-        "spring_suspected",
-        "warning",
-        f"A spring of {_size(each.value, each.std_error)} {unit} at {each.joint} would"
-        " explain the torque: cables or hoses that wind up there, or a sensor that drifts with"
-        " position",
-        Cure("if that can be, identify with the spring", {"drive": terms}),
-    )
-
-
-def _spring_at(joint: int) -> str:
-    return f"{Spring.key}:joints={joint}"
-
-
 _SAID: dict[Kind, Callable[[IdentificationResult, LogError], Finding]] = {
     "clock": _clock,
     "zero": _zero,
@@ -275,7 +252,6 @@ _SAID: dict[Kind, Callable[[IdentificationResult, LogError], Finding]] = {
     "nonlinear": _nonlinear,
     "drift": _drift,
     "warming": _warming,
-    "spring": _spring,
 }
 
 

@@ -14,6 +14,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.drives.drive_choice import DriveChoice
+from asbuilt.identification.effects.found_effect import effect_findings, tilts
 from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
@@ -29,7 +30,6 @@ from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
 )
-from asbuilt.validation.generalisation.hidden_causes import find_hidden_causes
 from asbuilt.validation.generalisation.missing_effects import (
     MissingEffect,
     confirmed_effects,
@@ -95,7 +95,8 @@ def conclude_study(
         notes=_notes(fits, cutoffs),
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
-        corrected=() if fits.mounting is None else ("mounting",),
+        corrected=("mounting",) if fits.mounting is not None or tilts(fits.effects) else (),
+        effects=fits.effects,
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
     result = conclude(fits.final)
@@ -143,24 +144,14 @@ def _model_findings(
 ) -> tuple[Finding, ...]:
     """Return what the samples say against the model: effects and causes that it lacks."""
     prepared = fits.prepared
-    hidden = find_hidden_causes(
-        result,
-        fits.samples,
-        fits.choice.drive,
-        tilt=None if attribution is None else attribution.tilt,
-        mounting=fits.mounting,
-        block_seconds=options.block_seconds,
-    )
-    of_log = log_error_findings(
-        result,
-        fits.samples if fits.servo is None else (),
-        springs=all(finding.code != "spring_suspected" for finding in hidden.findings),
-        mounting=hidden.mounting,
-        block_seconds=options.block_seconds,
-    )
     return (
-        *hidden.findings,
-        *of_log,
+        *effect_findings(fits.effects),
+        *log_error_findings(
+            result,
+            fits.samples if fits.servo is None else (),
+            mounting=fits.mounting,
+            block_seconds=options.block_seconds,
+        ),
         *_gain_findings(fits.samples),
         *position_noise_findings(
             result,

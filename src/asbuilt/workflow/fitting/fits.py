@@ -11,7 +11,15 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
-from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
+from asbuilt.identification.drives.drive_choice import (
+    DriveChoice,
+    drive_effects,
+    settle_nonlinear,
+    stated_drive,
+)
+from asbuilt.identification.effects.families.tilt import Tilt
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.prediction import Validation, predict_both
@@ -43,7 +51,9 @@ class Fits:
     choice
         The drive terms, chosen on the training part.
     mounting
-        The direction of gravity, if it was estimated (on all samples of the final fit).
+        The direction of gravity, if that was asked for (on all samples of the final fit).
+    effects
+        What the recordings show and the description lacks.
     servo, refined
         The position servo and the refinement, if any.
     """
@@ -54,6 +64,7 @@ class Fits:
     validated: Fit
     choice: DriveChoice
     mounting: Mounting | None
+    effects: tuple[FoundEffect, ...]
     servo: ServoEstimate | None
     refined: Refined | None
 
@@ -84,7 +95,7 @@ def fit_study(
     parts: Sequence[Simulated],
     report: Progress,
 ) -> Fits:
-    """Choose drive terms, estimate the mounting, and fit.
+    """Find the effects that the description lacks, and fit.
 
     What was held out by default is not if the rest is too short to fit.
 
@@ -121,13 +132,7 @@ def _fitted(
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
-    choice = settle_drive(model, prepared.training, options.drive)
-    mounting = (
-        find_mounting(model, used, drive=choice.drive, block_seconds=options.block_seconds)
-        if options.mounting == "estimate"
-        else None
-    )
-    model = model if mounting is None else mounting.model
+    model, choice, mounting, effects = _with_effects(model, prepared, options)
 
     def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
@@ -148,7 +153,7 @@ def _fitted(
     if options.refine is None:
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
-        return Fits(model, prepared, final, validated, choice, mounting, servo, None)
+        return Fits(model, prepared, final, validated, choice, mounting, effects, servo, None)
     found = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,
@@ -163,7 +168,49 @@ def _fitted(
     if found.servo is not None:
         late = tuple((each.source, each.digest) for each in prepared.delay)
         prepared = replace(prepared, delay=delays_of(found.servo, late))
-    return Fits(model, prepared, found.fit, found.fit, choice, mounting, found.servo, found.refined)
+    return Fits(
+        model, prepared, found.fit, found.fit, choice, mounting, effects, found.servo, found.refined
+    )
+
+
+def _with_effects(
+    model: RobotModel, prepared: Prepared, options: StudyOptions
+) -> tuple[RobotModel, DriveChoice, Mounting | None, tuple[FoundEffect, ...]]:
+    """Return the robot with the effects that are wanted, its drive terms, and what was found.
+
+    Effects are chosen on the training part.
+    """
+    wanted, samples = options.wanted_effects, prepared.training
+    drive = stated_drive(model, samples, options.drive)
+    for term in wanted.drive.terms:
+        drive = drive.with_term(term)
+    mounting = None
+    if options.mounting == "estimate" or wanted.tilt:
+        used, seconds = prepared.whole or samples, options.block_seconds
+        mounting = find_mounting(model, used, drive=drive, block_seconds=seconds)
+        model = mounting.model
+    found: tuple[FoundEffect, ...] = ()
+    keys = _open_effects(options, samples[0].torque_source)
+    if keys:
+        effects = find_effects(model, drive, samples, keys=keys)
+        if wanted.choice == "find":
+            effects = effects.named_only(model, drive)
+        model, drive, found = effects.model, effects.drive, effects.found
+    return model, settle_nonlinear(model, samples, drive), mounting, found
+
+
+def _open_effects(options: StudyOptions, source: str) -> list[str]:
+    """Return the keys of the effects that are neither stated nor unwanted.
+
+    Stated drive terms leave no others open. Where commands stand for torques, whose servo is
+    another unknown, drive terms are open only if that is asked for.
+    """
+    looking = options.wanted_effects.choice in ("auto", "find")
+    by_drive = isinstance(options.drive, str) or (looking and options.drive is None)
+    keys = list(drive_effects()) if by_drive else []
+    if looking and options.mounting != "estimate":
+        keys.append(Tilt.key)
+    return keys if source != "command" or isinstance(options.drive, str) else []
 
 
 def _predicted(fit: Fit, samples: Samples) -> Validation:

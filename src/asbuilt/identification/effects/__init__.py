@@ -1,0 +1,1 @@
+"""Effects that a description lacks: one object, one pass over the samples, one selection."""

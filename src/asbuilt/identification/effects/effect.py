@@ -1,0 +1,136 @@
+"""Effects: what a description can lack, and the torque that each would add."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.identification.result.torque_prediction import parameter_torque
+from asbuilt.registry import Registry
+from asbuilt.tables import plus_minus
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """Hold the robot that effects are sought of: model, drive terms, values and torque source.
+
+    `chi` are standard parameters near the recording, in the order of `drive`; `largest` (n,) the
+    torque that almost all samples keep, `speeds` the velocities recorded, each (N, n).
+    """
+
+    model: RobotModel
+    drive: DriveSet
+    chi: Array
+    source: str
+    largest: Array
+    speeds: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Hold states (L, n) of a robot on a span of samples, and what its model makes of them.
+
+    `elapsed` (L,) runs from -1/2 at the start of the recording to 1/2 at its end.
+    """
+
+    robot: Described
+    q: Array
+    qd: Array
+    qdd: Array
+    elapsed: Array
+
+    def torque_of(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+        """Return the torque of the rigid bodies and of the whole model in other states, (L, n)."""
+        robot = self.robot
+        return parameter_torque(robot.model, robot.drive, robot.chi, q, qd, qdd)
+
+    @cached_property
+    def torques(self) -> tuple[Array, Array]:
+        """Torque of the rigid bodies and of the whole model, (L, n) each."""
+        return self.torque_of(self.q, self.qd, self.qdd)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variant:
+    """Describe an effect with its nonlinear parameters at trial values.
+
+    A variant with `joint` None and `local` is tried at every joint in `joints` by columns that
+    hold each joint's own values; other columns act on the torques of all joints.
+    """
+
+    effect: Effect
+    n_columns: int
+    local: bool
+    joint: int | None = None
+    joints: tuple[int, ...] = ()
+    term: DriveTerm | None = None
+
+
+class Effect(ABC):
+    """Describe a family of effects: where it can act, and by which columns of torque.
+
+    The torque that the model lacks is `columns @ values`; a nonlinear effect is linearised about
+    the present estimate.
+    """
+
+    key: ClassVar[str]
+    """Name in `--effects`, JSON and texts."""
+    title: ClassVar[str]
+    """Name in sentences."""
+    kind: ClassVar[str] = ""
+    """What it is a form of, such as torque over position; a joint has one effect of a kind."""
+    of_log: ClassVar[bool] = False
+    """Whether the log is wrong rather than the model: named with its cure, never applied."""
+    positive: ClassVar[bool] = False
+    """Whether only positive values are physical."""
+
+    def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
+        """Return size, standard error and unit of its values (m,) with their covariance."""
+        size = float(np.linalg.norm(values)) if len(values) > 1 else float(values[0])
+        slope = values / size if size else np.ones(len(values)) / len(values)
+        return size, float(np.sqrt(max(slope @ covariance @ slope, 0.0))), self.unit(revolute)
+
+    def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
+        """Return the size with its standard error and unit as text."""
+        size, error, unit = self.size(values, covariance, revolute=revolute)
+        return f"{plus_minus(size, error)} {unit}".rstrip()
+
+    def unit(self, revolute: bool) -> str:
+        """Return the unit of its size at a revolute or prismatic joint."""
+        return ""
+
+    @abstractmethod
+    def variants(self, robot: Described) -> Iterator[Variant]:
+        """Yield the variants that this robot can have."""
+
+    @abstractmethod
+    def columns(self, variant: Variant, motion: Motion) -> list[Array]:
+        """Return the columns of a variant on a span, (L, n) each."""
+
+
+EFFECTS: Registry[Effect] = Registry(
+    "effect", "asbuilt.identification.effects.families", "asbuilt.effects"
+)
+
+
+def effect(family: type[Effect]) -> type[Effect]:
+    """Register a family of effects."""
+    family.kind = family.kind or family.key
+    EFFECTS.register(family.key, family())
+    return family
+
+
+def at_joint(values: Array, joint: int, n_joints: int) -> Array:
+    """Return a column (L, n) with values (L,) at one joint, zero at the others."""
+    column = np.zeros((len(values), n_joints))
+    column[:, joint] = values
+    return column

@@ -1,0 +1,82 @@
+"""Drive terms that the model lacks: friction of another form, springs, balancers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.drives.torque import drive_columns
+from asbuilt.identification.drives.nonlinear_parameters import credible_range
+from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
+
+TRIALS = 4
+"""Trial values of a nonlinear parameter, in equal ratios within its credible range."""
+
+
+TITLES = {"spring": "torsion spring", "balancer": "gravity spring or balancer"}
+"""Names of effects that stand for more than the term does."""
+
+
+class DriveEffect(Effect):
+    """Add a drive term at a joint."""
+
+    def __init__(self, term: DriveTerm) -> None:
+        """Take the term at every joint, its nonlinear parameters free."""
+        self.term = term
+        self.key = term.key  # type: ignore[misc]
+        self.title = TITLES.get(term.key, term.title)  # type: ignore[misc]
+        self.kind = (  # type: ignore[misc]
+            "position"
+            if term.key in ("spring", "balancer")
+            else "load"
+            if term.needs_load
+            else "friction"
+        )
+        self.positive = not term.by_construction or term.key == "spring"  # type: ignore[misc]
+
+    def unit(self, revolute: bool) -> str:
+        """Return the unit of the term's first parameter."""
+        return self.term.units(revolute=revolute)[0]
+
+    def variants(self, robot: Described) -> Iterator[Variant]:
+        """Yield the term at trial values of its nonlinear parameter, where it is not described."""
+        term = self.term
+        if not (term.by_construction or robot.source in term.tried_for):
+            return
+        own = next((each for each in robot.drive.terms if each.key == term.key), None)
+        joints = tuple(k for k in range(robot.model.n_joints) if own is None or not own.is_at(k))
+        if not joints:
+            return
+        for trial in _trials(term, robot):
+            yield Variant(self, len(term.symbols), local=True, joints=joints, term=trial)
+
+    def columns(self, variant: Variant, motion: Motion) -> list[Array]:
+        """Return the term's columns at every joint's own state."""
+        term, n = variant.term, motion.q.shape[1]
+        load = motion.torques[0] if self.term.needs_load else None
+        drive = DriveSet((self.term if term is None else term,))
+        each = [
+            drive_columns(drive, k, motion.q, motion.qd, motion.qdd, load=load) for k in range(n)
+        ]
+        return [np.stack([own[c] for own in each], axis=1) for c in range(variant.n_columns)]
+
+
+def _trials(term: DriveTerm, robot: Described) -> Iterator[DriveTerm]:
+    """Yield the term with trial values of its first free nonlinear parameter."""
+    if not term.free_nonlinear:
+        yield term
+        return
+    parameter = term.free_nonlinear[0]
+    lowest, highest = credible_range(robot.model, parameter, [np.abs(s) for s in robot.speeds])
+    edges = np.geomspace(np.maximum(lowest, 1e-9), np.maximum(highest, 1e-9), 2 * TRIALS + 1)
+    for values in edges[1::2]:
+        yield term.with_nonlinear({parameter.name: tuple(values.tolist())})
+
+
+for _term in available_terms().values():
+    if _term.by_construction or _term.tried_for:
+        EFFECTS.register(_term.key, DriveEffect(_term))

@@ -1,0 +1,55 @@
+"""Tilt of the base against the description."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.rotation import axes_across
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
+
+
+@effect
+class Tilt(Effect):
+    """Turn the base by small angles about two axes across gravity [rad].
+
+    A base turned by a vector `theta` sees gravity turned by `-theta`: `g - theta x g` to first
+    order, so that the columns are the gravity torques of the links under `g x axis`.
+    """
+
+    key = "tilt"
+    title = "base tilt"
+
+    def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
+        """Return the angle between both directions of gravity [deg]."""
+        size, error, _ = super().size(values, covariance, revolute=revolute)
+        return float(np.rad2deg(size)), float(np.rad2deg(error)), "deg"
+
+    def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
+        """Return the angle with its parts about both axes."""
+        whole = super().size_text(values, covariance, revolute=revolute)
+        parts = np.rad2deg(values)
+        return f"{whole} ({parts[0]:+.2f} about x, {parts[1]:+.2f} about y)"
+
+    def variants(self, robot: Described) -> Iterator[Variant]:
+        """Yield the tilt of a robot with gravity."""
+        if np.any(robot.model.gravity):
+            yield Variant(self, 2, local=False)
+
+    def columns(self, variant: Variant, motion: Motion) -> list[Array]:
+        """Return the gravity torques under `g x axis`."""
+        model, still = motion.robot.model, np.zeros_like(motion.q)
+        links = motion.robot.chi[: 10 * model.n_links]
+        return [
+            inverse_dynamics(
+                model.with_gravity(np.cross(model.gravity, axis)),
+                motion.q,
+                still,
+                still,
+                parameters=links,
+            )
+            for axis in axes_across(model.gravity)
+        ]

@@ -1,0 +1,216 @@
+"""One pass over the samples: normal equations of the model and of all effects it may lack."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
+from asbuilt.identification.information.rows import SampleBlock, sample_blocks
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """Name an effect at a joint (from 0; None: of the whole robot) and its parameters.
+
+    `places` are its positions among all parameters, those of the model first; `replaces` those of
+    the model's parameters in whose place it comes.
+    """
+
+    effect: Effect
+    joint: int | None
+    places: Indices
+    term: DriveTerm | None = None
+    replaces: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def at(self) -> tuple[str, int | None]:
+        """Key and joint, the same for every trial value of a nonlinear parameter."""
+        return self.effect.key, self.joint
+
+
+@dataclass(frozen=True, eq=False)
+class EffectEquations:
+    """Hold the normal equations of `[W_k | E_k | tau_k]` by time block, joint by joint.
+
+    W are the columns of the base parameters (p), E those of all candidates (m). Joint k has the
+    parameters `support[k]` and `grams[k]` (B, s_k + 1, s_k + 1). `counts` (B,) are the samples of a
+    block.
+    """
+
+    base: BaseParameters
+    candidates: tuple[Candidate, ...]
+    support: tuple[Indices, ...]
+    grams: tuple[Array, ...]
+    counts: Indices
+    n_parameters: int
+
+    @property
+    def n_base(self) -> int:
+        """Number of the model's own parameters."""
+        return self.base.n_base
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of time blocks."""
+        return len(self.counts)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.support)
+
+    @cached_property
+    def of_joints(self) -> tuple[Array, ...]:
+        """Normal equations of each joint over all blocks."""
+        return tuple(gram.sum(axis=0) for gram in self.grams)
+
+    def stacked(self, weights: Array, blocks: Sequence[int] | Indices | None = None) -> Array:
+        """Return those of all joints together, (P + 1, P + 1), joint k times `weights[k]`^2."""
+        total = np.zeros((self.n_parameters + 1,) * 2)
+        for k, support in enumerate(self.support):
+            gram = self.of_joints[k] if blocks is None else self.grams[k][blocks].sum(axis=0)
+            places = np.append(support, self.n_parameters)
+            total[np.ix_(places, places)] += weights[k] ** 2 * gram
+        return total
+
+    def residuals(self, values: Array) -> Array:
+        """Return the squared residual of each joint with all parameters (P,) given, (n,)."""
+        ends = [np.append(-values[s], 1.0) for s in self.support]
+        return np.array([x @ gram @ x for x, gram in zip(ends, self.of_joints, strict=True)])
+
+
+def gather_equations(
+    robot: Described,
+    base: BaseParameters,
+    samples: Iterable[Samples],
+    *,
+    effects: Iterable[Effect] | None = None,
+    block_seconds: float | None = None,
+) -> EffectEquations:
+    """Reduce samples to the normal equations of a model and of effects, in one pass.
+
+    Parameters
+    ----------
+    robot
+        The robot; nonlinear effects are linearised about its values.
+    base
+        Its base parameters.
+    samples
+        Samples of one or more recordings.
+    effects
+        The effects; None: all that are registered.
+    block_seconds
+        Length of a time block [s].
+    """
+    n = robot.model.n_joints
+    found = EFFECTS.values() if effects is None else effects
+    variants = [each for effect in found for each in effect.variants(robot)]
+    variants.sort(key=lambda each: not each.local)  # local columns first
+    slots = [variant for variant in variants for _ in range(variant.n_columns)]
+    plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=len(slots) + 1)
+    candidates, own, size = _placed(variants, n, base)
+    support = tuple(np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n))
+    kept = [np.flatnonzero(own[k] >= 0) for k in range(n)]
+    grams: list[list[Array]] = [[] for _ in range(n)]
+    counts: list[int] = []
+    with one_blas_thread():
+        for part in sample_blocks(robot.model, samples, block_seconds):
+            block = [np.zeros((len(s) + 1,) * 2) for s in support]
+            for chunk in part.chunks(plan, _evaluated(robot, variants, part)):
+                for k, rows in enumerate(chunk):
+                    block[k] += rows @ rows.T
+            for k in range(n):
+                grams[k].append(block[k])
+            counts.append(part.n_outputs)
+    return _without_idle(
+        base,
+        candidates,
+        [np.concatenate([s, [size]]) for s in support],
+        [np.array(each) for each in grams],
+        np.array(counts, dtype=np.int64),
+        size,
+        kept,
+    )
+
+
+def _placed(
+    variants: Sequence[Variant], n: int, base: BaseParameters
+) -> tuple[list[Candidate], list[Indices], int]:
+    """Return the candidates, and the parameter of each slot at each joint (-1: none)."""
+    candidates: list[Candidate] = []
+    own = [list[int]() for _ in range(n)]
+    size = base.n_base
+    for variant in variants:
+        m = variant.n_columns
+        if not variant.local:
+            places = np.arange(size, size + m)
+            candidates.append(Candidate(variant.effect, variant.joint, places, variant.term))
+            for each in own:
+                each.extend(places.tolist())
+            size += m
+            continue
+        for k in range(n):
+            if k in variant.joints:
+                places = np.arange(size, size + m)
+                simpler = variant.term.stands_for if variant.term else None
+                candidates.append(
+                    Candidate(variant.effect, k, places, variant.term, _places_of(base, simpler, k))
+                )
+                own[k].extend(places.tolist())
+                size += m
+            else:
+                own[k].extend([-1] * m)
+    return candidates, [np.array(each, dtype=np.int64) for each in own], size
+
+
+def _places_of(base: BaseParameters, key: str | None, k: int) -> Indices:
+    """Return the positions of a drive term's base parameters at a joint."""
+    symbols = [s for term in base.drive.terms if term.key == key for s in term.symbols]
+    names = {f"{symbol}{k + 1}" for symbol in symbols}
+    return np.array([j for j, name in enumerate(base.names) if name in names], dtype=np.int64)
+
+
+def _evaluated(
+    robot: Described, variants: Sequence[Variant], part: SampleBlock
+) -> Callable[[slice], list[Array]]:
+    """Return what gives the columns of all variants on a span of the block's samples."""
+    samples = part.samples
+    length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
+
+    def evaluate(span: slice) -> list[Array]:
+        elapsed = (samples.t[span] - samples.t[0]) / length - 0.5
+        motion = Motion(robot, samples.q[span], samples.qd[span], samples.qdd[span], elapsed)
+        return [c for each in variants for c in each.effect.columns(each, motion)]
+
+    return evaluate
+
+
+def _without_idle(
+    base: BaseParameters,
+    candidates: Sequence[Candidate],
+    support: Sequence[Indices],
+    grams: Sequence[Array],
+    counts: Indices,
+    size: int,
+    kept: Sequence[Indices],
+) -> EffectEquations:
+    """Return the equations without slots that a joint does not have."""
+    places, own = [], []
+    for s, gram in zip(support, grams, strict=True):
+        there = np.flatnonzero(s >= 0)
+        places.append(s[there][:-1])
+        own.append(np.ascontiguousarray(gram[:, there][:, :, there]))
+    return EffectEquations(base, tuple(candidates), tuple(places), tuple(own), counts, size)

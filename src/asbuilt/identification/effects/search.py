@@ -1,0 +1,244 @@
+"""Search for effects: one pass and one selection, repeated where an effect is not linear."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import axes_across
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.errors import AsbuiltError
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.effects.effect import EFFECTS, Described
+from asbuilt.identification.effects.families.tilt import Tilt
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.gathering import Candidate, gather_equations
+from asbuilt.identification.effects.selection import Prior, Selection, Trial
+from asbuilt.identification.estimators.auto import design_effect, prior_information
+from asbuilt.identification.estimators.consistent_fit import fit_consistent
+from asbuilt.identification.information.held_out import different_motions
+from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.tables import significant
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+
+@dataclass(frozen=True, slots=True)
+class SearchLimits:
+    """Say what is searched."""
+
+    samples: int = 30_000
+    """Samples of long recordings that are searched, in spans of `span` seconds."""
+    span: float = 10.0
+    blocks: int = 30
+    """Time blocks of a recording, each of `shortest` to `longest` seconds."""
+    shortest: float = 1.0
+    longest: float = 5.0
+    fewest_groups: int = 3
+    """Groups of different motion below which held-out errors have no usable standard error."""
+    rounds: int = 4
+    settled: float = 1e-4
+    """Passes for a tilt, and the step [rad] at which it has settled."""
+    farthest: float = 0.35
+    """Largest tilt [rad]; walls and ceilings belong into the description."""
+
+
+LIMITS = SearchLimits()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effects:
+    """Hold what was found, and the robot and drive terms with it."""
+
+    model: RobotModel
+    drive: DriveSet
+    found: tuple[FoundEffect, ...] = ()
+
+    def named_only(self, model: RobotModel, drive: DriveSet) -> Effects:
+        """Return the same effects beside a robot without them."""
+        return Effects(model, drive, tuple(replace(each, in_model=False) for each in self.found))
+
+
+def find_effects(
+    model: RobotModel,
+    drive: DriveSet,
+    samples: Sequence[Samples],
+    *,
+    keys: Collection[str] | None = None,
+) -> Effects:
+    """Find the effects that a description lacks, and add them to its model.
+
+    Each pass over the samples gives the normal equations of the model and of all effects, about a
+    physically consistent fit; a selection takes effects one at a time (`Selection`). A base tilt is
+    put into gravity, and everything is asked again.
+
+    Parameters
+    ----------
+    model, drive
+        The robot as described, and its drive terms.
+    samples
+        Samples of one or more recordings.
+    keys
+        Keys of the effects that are looked for; None: all that a model can have.
+    """
+    search = _Search(model, drive, _thinned(samples), keys)
+    try:
+        with one_blas_thread():
+            return search.run()
+    except (AsbuiltError, np.linalg.LinAlgError):
+        return Effects(model, drive)
+
+
+class _Search:
+    """Search the effects of one robot."""
+
+    def __init__(
+        self,
+        model: RobotModel,
+        drive: DriveSet,
+        samples: Sequence[Samples],
+        keys: Collection[str] | None,
+    ) -> None:
+        self.model, self.drive, self.samples, self.keys = model, drive, samples, keys
+        time = sum(each.n_samples / each.rate for each in samples)
+        self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
+        self.largest = np.max([np.percentile(abs(s.tau), 99.5, axis=0) for s in samples], axis=0)
+
+    def run(self) -> Effects:
+        """Return the effects, found on a robot with the tilt that they have."""
+        tilt, turned = np.zeros(2), self.model
+        first: Trial | None = None
+        errors: dict[tuple[str, int | None], tuple[float, float]] = {}
+        for _ in range(LIMITS.rounds):
+            selection, path = self._selected(turned)
+            if selection is None:
+                return Effects(self.model, self.drive)
+            errors |= {k: v for k, v in _errors(selection, path).items() if k not in errors}
+            step = next((each for each in path if each.candidate.effect.key == Tilt.key), None)
+            if step is None:
+                break
+            first = first or step
+            tilt = tilt + step.values
+            if np.max(np.abs(tilt)) > LIMITS.farthest:
+                return Effects(self.model, self.drive)
+            turned = self._turned(tilt)
+            if np.linalg.norm(step.values) < LIMITS.settled:
+                break
+        others = [each for each in path if each.candidate.effect.key != Tilt.key]
+        taken = [*([replace(first, values=tilt)] if first else []), *others]
+        drive = with_terms(self.drive, [each.candidate for each in others], self.model.n_joints)
+        found = tuple(
+            self._found(each, selection, errors.get(each.candidate.at, (0.0, 0.0)))
+            for each in taken
+        )
+        return Effects(turned, drive, found)
+
+    def _selected(self, model: RobotModel) -> tuple[Selection | None, list[Trial]]:
+        """Return a selection on a robot, and what it took; None with too little motion."""
+        base, prior = find_base_parameters(model, self.drive), cad_prior(model, self.drive)
+        seen = accumulate_stream(model, base, self.samples, block_seconds=self.seconds)
+        fit = fit_consistent(seen, prior)
+        groups = different_motions(seen, fit.weights)
+        if len(groups) < LIMITS.fewest_groups:
+            return None, []
+        effect = design_effect(seen, fit)
+        source = self.samples[0].torque_source
+        speeds = tuple(each.qd for each in self.samples)
+        robot = Described(model, self.drive, fit.standard, source, self.largest, speeds)
+        wanted = [
+            each
+            for each in EFFECTS.values()
+            if not each.of_log and (self.keys is None or each.key in self.keys)
+        ]
+        equations = gather_equations(
+            robot, base, self.samples, effects=wanted, block_seconds=self.seconds
+        )
+        cad = Prior(
+            base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
+        )
+        selection = Selection(equations, cad, fit.weights, groups)
+        return selection, selection.run(equations.candidates)
+
+    def _turned(self, tilt: Array) -> RobotModel:
+        """Return the robot with its base turned by a tilt about the axes across gravity."""
+        gravity = np.array(self.model.gravity)
+        back = Rotation.from_rotvec(-tilt @ axes_across(gravity))
+        return self.model.with_gravity(back.apply(gravity))
+
+    def _found(
+        self, trial: Trial, selection: Selection, errors: tuple[float, float]
+    ) -> FoundEffect:
+        candidate, names = trial.candidate, self.model.joint_names
+        effect, k = candidate.effect, candidate.joint
+        joint = None if k is None else names[k]
+        revolute = k is None or self.model.joints[k].is_revolute
+        size, error, unit = effect.size(trial.values, trial.covariance, revolute=revolute)
+        before, after = errors
+        others = tuple(
+            each.effect.key + ("" if each.joint is None else f"@{names[each.joint]}")
+            for each in trial.alternatives
+        )
+        return FoundEffect(
+            effect=effect.key,
+            joint=joint,
+            estimate=size,
+            std_error=error,
+            unit=unit,
+            in_model=True,
+            torque=selection.torque_of(trial),
+            error_before=before,
+            error_after=after,
+            alternatives=others,
+            text=effect.title
+            + (f" at {joint}" if joint else "")
+            + f" {effect.size_text(trial.values, trial.covariance, revolute=revolute)}:"
+            f" torque error {significant(100 * before, 2)} -> {significant(100 * after, 2)} %",
+        )
+
+
+def _errors(
+    selection: Selection, path: Sequence[Trial]
+) -> dict[tuple[str, int | None], tuple[float, float]]:
+    """Return the held-out errors before and after each effect was taken."""
+    taken = [each.candidate for each in path]
+    steps = [selection.held_out_error(taken[:k]) for k in range(len(taken) + 1)]
+    return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(taken)}
+
+
+def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
+    """Return drive terms with those of candidates, in place of the simpler terms they replace."""
+    for key in dict.fromkeys(each.effect.key for each in candidates):
+        own = {each.joint for each in candidates if each.effect.key == key}
+        term = available_terms()[key]
+        had = next((each for each in drive.terms if each.key == key), None)
+        joints = own | {k for k in range(n_joints) if had is not None and had.is_at(k)}
+        drive = drive.with_term(_at(had or term, joints, n_joints))
+        simple = next((each for each in drive.terms if each.key == term.stands_for), None)
+        if simple is not None:
+            left = {k for k in range(n_joints) if simple.is_at(k)} - own
+            drive = drive.without(simple.key)
+            drive = drive.with_term(_at(simple, left, n_joints)) if left else drive
+    return drive
+
+
+def _at(term: DriveTerm, joints: Collection[int | None], n_joints: int) -> DriveTerm:
+    numbers = tuple(sorted(k + 1 for k in joints if k is not None))
+    return replace(term, joints=None if len(numbers) == n_joints else numbers)
+
+
+def _thinned(samples: Sequence[Samples]) -> list[Samples]:
+    """Return spans of all recordings with about as many samples as are searched."""
+    every = -(-sum(each.n_samples for each in samples) // LIMITS.samples)
+    if every <= 1:
+        return list(samples)
+    return [each.select((each.t - each.t[0]) // LIMITS.span % every == 0.0) for each in samples]

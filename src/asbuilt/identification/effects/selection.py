@@ -1,0 +1,338 @@
+"""Selection of effects: sure, worth their torque on other motion, and nearer to CAD."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import fdtrc, stdtr
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.identification.effects.gathering import Candidate, EffectEquations
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionRules:
+    """Say when an effect is taken."""
+
+    level: float = 0.05
+    """Probability that chance takes any, over all candidates (Bonferroni)."""
+    certain: float = 1.0
+    """Standard errors over groups of different motion by which the held-out error must fall."""
+    worth: float = 0.02
+    """Share of the squared torque error on other motion that an effect must take away: 1 % of the
+    torque error."""
+    imitated: float = 10.0
+    """Fall of the cost, in its unit, that bodies nearer to CAD must be worth where the held-out
+    error does not fall: they imitated the effect. 4.5 standard errors."""
+    alike: float = 0.5
+    """Share of the fall of the cost from which on another effect is a look-alike."""
+    separate: float = 1e-6
+    """Squared part of a column outside all others below which nothing can be said of it."""
+    most: int = 20
+    """Effects taken."""
+    ridge: float = 1e-9
+    """Added to the unit diagonal of parameters without a prior."""
+
+
+RULES = SelectionRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Hold the mean (p,) and information (p, p) of the model's own parameters by CAD.
+
+    `effect` is the number of samples that count as one, by which costs are divided.
+    """
+
+    mean: Array
+    information: Array
+    effect: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Hold what a candidate would do beside those taken.
+
+    `values` (m,) and `covariance` are of its parameters, by the scatter of time blocks, `p_value`
+    that of their all being zero. `relief` (groups,) is the logarithm of the fall of the squared
+    error on each held-out group. `gain` is the fall of the cost, `nearer` the part of it by which
+    bodies come nearer to CAD, both in half squares of independent standard errors; `fall` the share
+    of the squared torque error of the recordings that it takes away. `alternatives` would explain
+    as much, and are needless beside it.
+    """
+
+    candidate: Candidate
+    values: Array
+    covariance: Array
+    p_value: float
+    relief: Array
+    gain: float
+    nearer: float
+    fall: float
+    alternatives: tuple[Candidate, ...] = ()
+
+    @property
+    def std_errors(self) -> Array:
+        """Standard errors of the values."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def relief_error(self) -> float:
+        """Standard error of the mean relief."""
+        return float(self.relief.std(ddof=1) / np.sqrt(len(self.relief)))
+
+    @property
+    def worth(self) -> float:
+        """Fall of the cost less what as many columns take away by chance."""
+        return self.gain - len(self.values) * np.log(max(self.gain, 1.0))
+
+    def is_taken(self, n_candidates: int) -> bool:
+        """Return whether the effect is sure, and lowers the error on other motion or is imitated.
+
+        Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
+        motion is predicted no worse.
+        """
+        if self.p_value * n_candidates > RULES.level:
+            return False
+        if self.candidate.effect.positive and not np.all(self.values > 0.0):
+            return False
+        mean, error = float(self.relief.mean()), self.relief_error
+        predicts = mean > RULES.certain * error and mean > RULES.worth
+        imitated = self.nearer > RULES.imitated and mean > -error
+        return predicts or imitated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Hold a fit without some columns c: parameters, and how a unit of each column moves them.
+
+    `residual` (P + 1,) are the coefficients of the residual, `moves` (P + 1, c) its change.
+    """
+
+    residual: Array
+    moves: Array
+    schur: Array
+    score: Array
+
+
+class Selection:
+    """Fit a model with effects toward CAD on groups of time blocks, and choose effects.
+
+    The cost is `sum_k w_k^2 |tau_k - W_k beta - E_k x|^2 + (beta - beta_0)^T P (beta - beta_0)`,
+    the quadratic form of a fit toward CAD; effects have no prior but a ridge for collinear columns.
+    """
+
+    def __init__(
+        self,
+        equations: EffectEquations,
+        prior: Prior,
+        weights: Array,
+        groups: Sequence[Indices],
+        taken: Sequence[Candidate] = (),
+    ) -> None:
+        """Take the equations, the prior, weights of the joints (n,) and groups of blocks."""
+        self.equations, self.prior, self.weights = equations, prior, weights
+        self._groups = groups
+        self._total = equations.stacked(weights)
+        self._held = [equations.stacked(weights, group) for group in groups]
+        self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
+        self.taken = list(taken)
+
+    def run(self, candidates: Sequence[Candidate]) -> list[Trial]:
+        """Take effects one at a time, the most worthy first, and drop what later ones replace."""
+        path: list[Trial] = []
+        before: list[Trial] = []
+        while True:
+            busy = {(each.effect.kind, each.joint) for each in self.taken}
+            left = [each for each in candidates if (each.effect.kind, each.joint) not in busy]
+            n = len({each.at for each in left})
+            trials = [each for each in self.trials(left) if each.is_taken(n)]
+            if path:
+                path[-1] = _with_alternatives(path[-1], before, trials)
+            if not trials or len(path) == RULES.most:
+                return path
+            best = max(trials, key=lambda each: each.worth)
+            path.append(best)
+            self.taken.append(best.candidate)
+            before = trials
+
+    def held_out_error(self, taken: Sequence[Candidate]) -> float:
+        """Return the relative torque error on the held-out groups with these effects."""
+        equations, error, torque = self.equations, 0.0, 0.0
+        none = np.zeros(0, dtype=np.int64)
+        for group, gram in zip(self._groups, self._held, strict=True):
+            z = self._fit(self._total - gram, self._inside(taken), none).residual
+            for k, support in enumerate(equations.support):
+                own = equations.grams[k][group].sum(axis=0)
+                x = z[np.append(support, equations.n_parameters)]
+                error, torque = error + float(x @ own @ x), torque + float(own[-1, -1])
+        return float(np.sqrt(max(error, 0.0) / torque)) if torque > 0.0 else 0.0
+
+    def values(self) -> Array:
+        """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
+        fit = self._fit(self._total, self._inside(self.taken), np.zeros(0, dtype=np.int64))
+        return -fit.residual[:-1]
+
+    def torque_of(self, trial: Trial) -> float:
+        """Return the RMS torque of a trial at its joint, of all joints together without one."""
+        c, eq = trial.candidate.places, self.equations
+        energy = 0.0
+        for support, gram in zip(eq.support, eq.of_joints, strict=True):
+            own = np.flatnonzero(np.isin(support, c))
+            if len(own):
+                x = trial.values[np.searchsorted(c, support[own])]
+                energy += float(x @ gram[np.ix_(own, own)] @ x)
+        return float(np.sqrt(energy / max(int(eq.counts.sum()), 1)))
+
+    def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
+        """Try each candidate alone beside those taken; what it replaces is left out then."""
+        groups: dict[tuple[int, ...], list[Candidate]] = {}
+        for each in candidates:
+            groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
+        start = self._cost(self._inside(self.taken))
+        return [trial for own in groups.values() for trial in self._tried(own, start)]
+
+    def _inside(self, taken: Sequence[Candidate]) -> Indices:
+        left = np.setdiff1d(
+            np.arange(self.equations.n_base),
+            np.concatenate([np.zeros(0), *(c.replaces for c in taken)]),
+        )
+        return np.concatenate([left, *(each.places for each in taken)]).astype(np.int64)
+
+    def _fit(self, gram: Array, inside: Indices, columns: Indices) -> _Fit:
+        """Fit the parameters inside to normal equations."""
+        p, P = self.equations.n_base, self.equations.n_parameters
+        own = np.flatnonzero(inside < p)
+        A, b = gram[np.ix_(inside, inside)].copy(), gram[inside, -1].copy()
+        A[np.ix_(own, own)] += self.prior.information[np.ix_(inside[own], inside[own])]
+        b[own] += (self.prior.information @ self.prior.mean)[inside[own]]
+        A[np.diag_indices_from(A)] *= 1.0 + RULES.ridge
+        factor = cho_factor(A)
+        residual, moves = np.zeros(P + 1), np.zeros((P + 1, len(columns)))
+        residual[inside], residual[-1] = -cho_solve(factor, b), 1.0
+        moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
+        moves[columns, np.arange(len(columns))] -= 1.0
+        return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
+
+    def _cost(self, inside: Indices) -> tuple[Array, float, float]:
+        """Return residuals of held-out groups, and squared error and distance from CAD of all."""
+        none = np.zeros(0, dtype=np.int64)
+        held = np.array(
+            [
+                x @ gram @ x
+                for gram in self._held
+                for x in (self._fit(self._total - gram, inside, none).residual,)
+            ]
+        )
+        x = self._residual = self._fit(self._total, inside, none).residual
+        return held, float(x @ self._total @ x), self._distance(x)
+
+    def _better(self, after: Array, candidate: Candidate) -> float:
+        """Return the p value of a fall of the squared error, by Student's test over blocks.
+
+        Of a term that replaces another one, for which being zero is no question.
+        """
+        before = self._residual
+        fall = np.array([before @ g @ before - after @ g @ after for g in self._blocks])
+        B = len(fall)
+        spread = float(fall.std(ddof=1)) / np.sqrt(B) if B > 1 else np.inf
+        return float(stdtr(max(B - 1, 1), -fall.mean() / spread)) if spread > 0.0 else 1.0
+
+    def _distance(self, residual: Array) -> float:
+        away = -residual[: self.equations.n_base] - self.prior.mean
+        return float(away @ self.prior.information @ away)
+
+    def _tried(
+        self, candidates: Sequence[Candidate], start: tuple[Array, float, float]
+    ) -> list[Trial]:
+        """Try candidates that replace the same parameters."""
+        held_before, error_before, distance_before = start
+        columns = np.unique(np.concatenate([each.places for each in candidates]))
+        inside = np.setdiff1d(self._inside(self.taken), candidates[0].replaces)
+        whole = self._fit(self._total, inside, columns)
+        parts = []
+        for gram in self._held:
+            fit = self._fit(self._total - gram, inside, columns)
+            H = gram @ fit.moves
+            parts.append(
+                (fit, fit.residual @ H, fit.moves.T @ H, fit.residual @ gram @ fit.residual)
+            )
+        by_block = np.array([whole.moves.T @ (gram @ whole.residual) for gram in self._blocks])
+        of_block = np.array([whole.moves.T @ gram @ whole.moves for gram in self._blocks])
+        length = np.diag(self._total)
+        found = []
+        for each in candidates:
+            c = np.searchsorted(columns, each.places)
+            own, size = whole.schur[np.ix_(c, c)], np.sqrt(length[each.places])
+            if not np.all(size > 0.0) or (
+                np.linalg.eigvalsh(own / np.outer(size, size))[0] < RULES.separate
+            ):
+                continue
+            d = np.linalg.solve(own, whole.score[c])
+            left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
+            covariance, p_value = _scatter(own, left, d)
+            after = whole.residual + whole.moves[:, c] @ d
+            if len(each.replaces):
+                p_value = self._better(after, each)
+            relief = np.log(held_before / np.array([_left_out(part, c) for part in parts]))
+            error, distance = float(after @ self._total @ after), self._distance(after)
+            effect = 2.0 * self.prior.effect
+            found.append(
+                Trial(
+                    each,
+                    d,
+                    covariance,
+                    p_value,
+                    relief,
+                    (error_before + distance_before - error - distance) / effect,
+                    (distance_before - distance) / effect,
+                    1.0 - error / error_before,
+                )
+            )
+        return found
+
+
+def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
+    """Return a trial with the look-alikes among those that were taken `before` and not `after`.
+
+    They predict other motion within one standard error of the paired differences.
+    """
+    still = {each.candidate.at for each in after}
+    found: dict[tuple[str, int | None], Candidate] = {}
+    for each in before:
+        lag = taken.relief - each.relief
+        error = float(lag.std(ddof=1)) / np.sqrt(len(lag))
+        if (
+            each.candidate.at not in (taken.candidate.at, *still)
+            and each.worth > RULES.alike * taken.worth
+            and lag.mean() <= error
+        ):
+            found.setdefault(each.candidate.at, each.candidate)
+    return replace(taken, alternatives=tuple(found.values()))
+
+
+def _scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
+    """Return the covariance by scores of blocks (B, m), and the p value of all values being 0.
+
+    Hotelling's T^2 of m values with B - 1 degrees of freedom.
+    """
+    B, m = left.shape
+    inverse = np.linalg.inv(own)
+    covariance = inverse @ (left.T @ left * B / max(B - 1, 1)) @ inverse
+    try:
+        square = float(d @ np.linalg.solve(covariance, d))
+    except np.linalg.LinAlgError:
+        return covariance, 1.0
+    freedom = max(B - m, 1)
+    return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
+
+
+def _left_out(part: tuple[_Fit, Array, Array, float], c: Indices) -> float:
+    """Return the squared error on a held-out group of the fit with columns c to the others."""
+    fit, gradient, gram, error = part
+    own = fit.schur[np.ix_(c, c)]
+    d = np.linalg.solve(own + 1e-12 * np.trace(own) * np.eye(len(c)), fit.score[c])
+    return max(error + 2.0 * float(d @ gradient[c]) + float(d @ gram[np.ix_(c, c)] @ d), 1e-300)
