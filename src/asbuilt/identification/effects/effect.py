@@ -97,7 +97,8 @@ class Effect(ABC):
         """Return size, standard error and unit of its values (m,) with their covariance."""
         size = float(np.linalg.norm(values)) if len(values) > 1 else float(values[0])
         slope = values / size if size else np.ones(len(values)) / len(values)
-        return size, float(np.sqrt(max(slope @ covariance @ slope, 0.0))), self.unit(revolute)
+        variance = max(float(slope @ covariance @ slope), 0.0)
+        return size, float(np.sqrt(variance)), self.unit(revolute)
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return the size with its standard error and unit as text."""

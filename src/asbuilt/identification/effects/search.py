@@ -16,7 +16,7 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.errors import AsbuiltError
+from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.effects.effect import EFFECTS, Described
 from asbuilt.identification.effects.families.tilt import Tilt
@@ -121,8 +121,6 @@ class _Search:
         errors: dict[tuple[str, int | None], tuple[float, float]] = {}
         for _ in range(LIMITS.rounds):
             selection, path = self._selected(turned)
-            if selection is None:
-                return Effects(self.model, self.drive)
             errors |= {k: v for k, v in _errors(selection, path).items() if k not in errors}
             step = next((each for each in path if each.candidate.effect.key == Tilt.key), None)
             if step is None:
@@ -143,14 +141,14 @@ class _Search:
         )
         return Effects(turned, drive, found)
 
-    def _selected(self, model: RobotModel) -> tuple[Selection | None, list[Trial]]:
-        """Return a selection on a robot, and what it took; None with too little motion."""
+    def _selected(self, model: RobotModel) -> tuple[Selection, list[Trial]]:
+        """Return a selection on a robot, and what it took."""
         base, prior = find_base_parameters(model, self.drive), cad_prior(model, self.drive)
         seen = accumulate_stream(model, base, self.samples, block_seconds=self.seconds)
         fit = fit_consistent(seen, prior)
         groups = different_motions(seen, fit.weights)
         if len(groups) < LIMITS.fewest_groups:
-            return None, []
+            raise IdentifiabilityError(f"{len(groups)} groups of motion of {model.name} are too few")
         effect = design_effect(seen, fit)
         source = self.samples[0].torque_source
         speeds = tuple(each.qd for each in self.samples)

@@ -87,7 +87,7 @@ class Trial:
     @property
     def worth(self) -> float:
         """Fall of the cost less what as many columns take away by chance."""
-        return self.gain - len(self.values) * np.log(max(self.gain, 1.0))
+        return self.gain - len(self.values) * float(np.log(max(self.gain, 1.0)))
 
     def is_taken(self, n_candidates: int) -> bool:
         """Return whether the effect is sure, and lowers the error on other motion or is imitated.
@@ -253,7 +253,7 @@ class Selection:
         columns = np.unique(np.concatenate([each.places for each in candidates]))
         inside = np.setdiff1d(self._inside(self.taken), candidates[0].replaces)
         whole = self._fit(self._total, inside, columns)
-        parts = []
+        parts: list[tuple[_Fit, Array, Array, float]] = []
         for gram in self._held:
             fit = self._fit(self._total - gram, inside, columns)
             H = gram @ fit.moves
@@ -271,7 +271,7 @@ class Selection:
                 np.linalg.eigvalsh(own / np.outer(size, size))[0] < RULES.separate
             ):
                 continue
-            d = np.linalg.solve(own, whole.score[c])
+            d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
             left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
             covariance, p_value = _scatter(own, left, d)
             after = whole.residual + whole.moves[:, c] @ d
