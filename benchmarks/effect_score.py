@@ -10,6 +10,8 @@ import numpy as np
 
 BOTH_FORCES_BETWEEN_POINTS = frozenset({"gravity_spring", "balancer"})
 """Two names of one family: springs and cylinders between two points pull alike."""
+VISIBLE = 0.1
+"""Torque, in deviations of its noise, from which on an effect is visible without CAD."""
 WORSE = 1.03
 """Ratio of errors from which on `auto` counts as worse than `none`."""
 
@@ -125,7 +127,8 @@ class Row:
 class Score:
     """Shares over all robots without a problem.
 
-    `named` and `alternative` are shares of the true effects, `falsely` of the robots with a false
+    `named` and `alternative` are shares of the true effects, `named_visible` of those that some
+    torque shows without CAD; `falsely` of the robots with a false
     name, `falsely_alone` of the robots on which nothing acts; `signs` is the share of tilts with
     the sign of the world; `ratio` is the median of error `auto` over `none` where an effect acts,
     `worse` the share of robots on which `auto` is worse.
@@ -135,6 +138,7 @@ class Score:
     effects: int
     problems: int
     named: float
+    named_visible: float
     alternative: float
     falsely: float
     falsely_alone: float
@@ -160,6 +164,14 @@ def score(rows: Iterable[Row]) -> Score:
         effects=len(how),
         problems=len(every) - len(good),
         named=_share([each == "named" for each in how]),
+        named_visible=_share(
+            [
+                row.found(truth) == "named"
+                for row in good
+                for truth in row.truth
+                if truth.visible > VISIBLE
+            ]
+        ),
         alternative=_share([each == "alternative" for each in how]),
         falsely=_share(false),
         falsely_alone=_share([bool(row.false_names()) for row in good if not row.truth]),

@@ -43,6 +43,7 @@ from outside_robot import (
     OutsideRobot,
     Sensors,
     configuration,
+    mean_inertia,
     other_bodies,
     pinocchio_robot,
     with_body,
@@ -51,11 +52,13 @@ from outside_robot import (
 Array = NDArray[np.float64]
 
 ROBOTS = 300
+BAND = (0.3, 1.5)
+"""Highest frequency of a motion [Hz]."""
 COARSE = 100.0
 """Rate [Hz] at which sizes are drawn and effects are weighed."""
 FELT = 1.0
 """Change of some joint's torque, in standard deviations of its noise, that makes an effect."""
-TRIES = 12
+TRIES = 6
 WEIGHED = 1500
 """Samples of the fit that weighs what no parameter imitates."""
 OTHER_SECONDS = 20.0
@@ -299,7 +302,7 @@ def case(number: int, families: Sequence[str] = ()) -> Case:
     make = MAKES[name]
     cad = described(*make.descriptions[int(rng.integers(len(make.descriptions)))])
     seconds, rate = rng.uniform(20.0, 60.0), float(rng.choice([100.0, 125.0, 200.0, 250.0]))
-    band = rng.uniform(0.3, 0.7)
+    band = rng.uniform(*BAND)
     motions = [
         random_fourier(cad, rng=rng, duration=length, n_harmonics=max(5, round(band * length)))
         for length in (seconds, OTHER_SECONDS)
@@ -344,7 +347,7 @@ def drawn_robot(
     limits = np.array([joint.limits.torque for joint in cad.joints])
     limits = np.where(np.isfinite(limits), limits, 1.5 * largest)
     coulomb = rng.uniform(*make.friction, size=n) * limits
-    inertia = mean_inertia(bodies, move.q)
+    inertia = mean_inertia(bodies, move.q[::50])
     robot = replace(
         still,
         coulomb=coulomb,
@@ -359,18 +362,6 @@ def drawn_robot(
     return robot, Facts(cad, low, high, speed, torque, load, inertia, noise)
 
 
-def mean_inertia(bodies: RobotModel, q: Array) -> Array:
-    """Return the mean inertia about each joint (n,) by Pinocchio."""
-    zero = np.zeros_like(q[::50])
-    gravity = OutsideRobot(bodies, *np.zeros((4, q.shape[1]))).rigid(q[::50], zero, zero)
-    unit = np.eye(q.shape[1])
-    turned = [
-        OutsideRobot(bodies, *np.zeros((4, q.shape[1]))).rigid(q[::50], zero, zero + each)
-        for each in unit
-    ]
-    return np.array([np.mean((x - gravity)[:, k]) for k, x in enumerate(turned)])
-
-
 def with_effects(
     robot: OutsideRobot,
     facts: Facts,
@@ -383,24 +374,24 @@ def with_effects(
 
     An effect that no torque feels is drawn again.
     """
-    names, truth = facts.model.joint_names, []
-    kept = list(families)
-    for _ in range(TRIES * wanted):
-        if len(truth) == wanted or not kept:
+    truth: list[Truth] = []
+    for family in rng.permutation(families).tolist():
+        if len(truth) == wanted:
             break
-        family = str(rng.choice(kept))
         if family in ("coupling", "balancer") and len(facts.turning) < 2:
             continue
-        changed, k, size, unit = FAMILIES[family](robot, facts, rng)
-        joint = None if k is None else names[k]
-        taken = joint is not None and joint in [each.joint for each in truth]
-        if taken or felt(robot, changed, facts, motion) < FELT:
-            continue
-        beside = (names[k - 1],) if family == "coupling" and k else ()
-        visible = hidden_from_fit(changed, facts, motion) - hidden_from_fit(robot, facts, motion)
-        truth.append(Truth(family, joint, float(size), unit, round(visible, 3), beside))
-        kept.remove(family)
-        robot = changed
+        taken = {each.joint for each in truth} - {None}
+        for _ in range(TRIES):
+            changed, k, size, unit = FAMILIES[family](robot, facts, rng)
+            joint = None if k is None else facts.model.joint_names[k]
+            if joint in taken or felt(robot, changed, facts, motion) < FELT:
+                continue
+            beside = facts.model.joint_names[k - 1 : k] if family == "coupling" and k else ()
+            apart = [hidden_from_fit(each, facts, motion) for each in (changed, robot)]
+            visible = round(apart[0] - apart[1], 3)
+            truth.append(Truth(family, joint, float(size), unit, visible, beside))
+            robot = changed
+            break
     return robot, tuple(truth)
 
 

@@ -304,3 +304,13 @@ def with_body(model: RobotModel, link: int, body: LinkInertia) -> RobotModel:
     parameters = np.array(model.parameters).reshape(-1, 10)
     parameters[link] += body.parameters
     return model.with_parameters(parameters.ravel())
+
+
+def mean_inertia(bodies: RobotModel, q: Array) -> Array:
+    """Return the mean inertia about each joint (n,) in positions (N, n): torque of unit qdd."""
+    still, n = np.zeros_like(q), q.shape[1]
+    torque = (
+        pinocchio_torque(bodies, q, still, still + a, np.zeros(3))[:, k]
+        for k, a in enumerate(np.eye(n))
+    )
+    return np.array([np.mean(each) for each in torque])

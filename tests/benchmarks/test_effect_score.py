@@ -69,6 +69,7 @@ def test_shares_count_effects_and_false_names_count_robots() -> None:
     found = score(rows)
     assert (found.robots, found.effects, found.problems) == (3, 2, 1)
     assert found.named == 0.5
+    assert found.named_visible == 1.0
     assert found.falsely == pytest.approx(1 / 3)
     assert found.falsely_alone == 0.5
     assert found.ratio == pytest.approx(0.75)
