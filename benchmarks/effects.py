@@ -56,7 +56,7 @@ BAND = (0.3, 1.5)
 """Highest frequency of a motion [Hz]."""
 COARSE = 100.0
 """Rate [Hz] at which sizes are drawn and effects are weighed."""
-FELT = 1.0
+FELT = 0.3
 """Change of some joint's torque, in standard deviations of its noise, that makes an effect."""
 TRIES = 6
 WEIGHED = 1500
