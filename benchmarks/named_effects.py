@@ -94,7 +94,6 @@ def _from_findings(study: Study) -> Iterator[Effect]:
                 if re.search(rf"\b{re.escape(link)}\b", each.message)
             )
     for each in study.effects:
-        if each.effect != "base tilt":
-            yield Effect(each.effect, each.joint)
+        yield Effect("tilt" if each.effect == "base tilt" else each.effect, each.joint)
     if study.attribution is not None and "payload" in study.attribution.chosen:
         yield Effect("payload")
