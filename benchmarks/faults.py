@@ -1,9 +1,9 @@
-"""Virtual recordings with one fault that the model lacks, and whether a study names the fault."""
+"""Virtual recordings with one fault that the model lacks, and studies of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,40 +24,22 @@ DURATION, NOISE, CORRELATION_TIME = 40.0, 0.3, 0.1
 FITTED = DriveSet.parse("viscous,coulomb,offset")
 FRICTION = (1.0, 2.0, 0.3)
 RICHER = DriveSet.parse("viscous,coulomb,stribeck:velocity=0.1,offset")
-TILT, DELAY, COUNTS = np.deg2rad(0.5), 0.005, 4096
+TILT, COUNTS = np.deg2rad(0.5), 4096
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """Describe a fault: the rate of its recordings [Hz], and what a finding that names it says.
-
-    For `none` `words` are those of a false alarm.
-    """
-
-    words: tuple[str, ...]
-    rate: float = 200.0
-
-
-FAULTS = {
-    "none": Fault(("effects that the model lacks",)),
-    "stribeck": Fault(("richer friction", "stribeck")),
-    "tilt": Fault(("base tilt", "base seems tilted", "gravity")),
-    "delay": Fault(("delay", " late")),
-    "counts": Fault(("coarse", "counts", "resolution", "quantum", "steps"), rate=1000.0),
-}
+RATES = {"none": 200.0, "stribeck": 200.0, "tilt": 200.0, "counts": 1000.0}
+"""Rate [Hz] of the recordings of each fault."""
 
 
 def recorded(model: RobotModel, fault: str, seed: int) -> Recording:
     """Return a recording with coloured noise, a motion of its own, and what the fault does."""
-    rng, rate = np.random.default_rng(seed), FAULTS[fault].rate
+    rng, rate = np.random.default_rng(seed), RATES[fault]
     motion = random_fourier(model, rng=rng, duration=DURATION, n_harmonics=5)
     clean = _machine(model, fault).record(motion, rate=rate).recording
     forget, warm_up = np.exp(-1.0 / (rate * CORRELATION_TIME)), int(20 * rate * CORRELATION_TIME)
     white = rng.normal(size=(clean.n_samples + warm_up, model.n_joints))
     noise = lfilter([np.sqrt(1.0 - forget**2)], [1.0, -forget], white, axis=0)[warm_up:]
     q, tau = np.array(clean.q), np.array(clean.tau)
-    if fault == "delay":
-        tau = np.column_stack([np.interp(clean.t - DELAY, clean.t, each) for each in tau.T])
     if fault == "counts":
         step = 2.0 * np.pi / COUNTS
         q = np.where([joint.is_revolute for joint in model.joints], step * np.round(q / step), q)
@@ -69,22 +51,6 @@ def studies(model: RobotModel, fault: str, repetitions: int) -> Iterator[Study]:
     options = StudyOptions(drive=FITTED, method="wls", checked=False)
     for seed in range(repetitions):
         yield identify(model, recorded(model, fault, seed), options=options)
-
-
-def is_named(study: Study, fault: str) -> bool:
-    """Return whether some warning names the fault."""
-    return any(
-        word in finding.message.lower()
-        for finding in study.findings
-        for word in FAULTS[fault].words
-        if finding.severity != "info"
-    )
-
-
-def true_values(model: RobotModel, study: Study) -> Array:
-    """Return the true base parameters (p,) of the robot recorded."""
-    links = [link.inertia.parameters for link in model.links]
-    return study.result.base.values(np.concatenate([*links, np.tile(FRICTION, model.n_joints)]))
 
 
 def _machine(model: RobotModel, fault: str) -> VirtualRobot:

@@ -1,0 +1,138 @@
+"""Logs of robots with something that the model lacks, whose torque another engine computes.
+
+40 s of a motion of its own each, bodies off from CAD as usual, torque noise of 0.3 N m correlated
+over 0.1 s, encoders at the motors and torque sensors behind the gears.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.recording import Recording
+from asbuilt.workflow.study import Study, identify
+from named_effects import named_effects
+from outside_robot import Engine, OutsideRobot, Sensors, mean_inertia, other_bodies
+
+Array = NDArray[np.float64]
+
+SHARED_IIWA = Path("../shared/models/iiwa14.urdf")
+ROBOTS = {
+    "two-link": "two-link",
+    "ur10e": "ur10e",
+    "iiwa 14": str(SHARED_IIWA) if SHARED_IIWA.exists() else "kuka-iiwa7-r800",
+}
+"""Without the recordings' folder the iiwa 7 takes the place of the iiwa 14."""
+DURATION, RATE, HARMONICS = 40.0, 200.0, 12
+NOISE = 0.3
+VISCOUS, COULOMB, OFFSET = 1.0, 2.0, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Lacking:
+    """What a robot has: its effect by name, findings that name it too, counts and rate [Hz]."""
+
+    effect: str
+    change: Callable[[OutsideRobot, Array], OutsideRobot] = lambda robot, inertia: robot
+    codes: tuple[str, ...] = ()
+    counts: float = 2.0**20
+    rate: float = RATE
+
+
+def _all(value: float | tuple[float, float], robot: OutsideRobot) -> dict[int, object]:
+    return dict.fromkeys(range(len(robot.coulomb)), value)
+
+
+def _elastic(robot: OutsideRobot, inertia: Array) -> OutsideRobot:
+    stiffness = (2.0 * np.pi * 7.0) ** 2 * inertia
+    return replace(robot, stiffness=dict(enumerate(stiffness.tolist())))
+
+
+LACKING = {
+    "nothing": Lacking(""),
+    "stribeck": Lacking(
+        "stribeck", lambda r, _: replace(r, stribeck=_all((0.5 * COULOMB, 0.1), r))
+    ),
+    "tilt": Lacking("tilt", lambda r, _: replace(r, turn=np.deg2rad([0.5, 0.0, 0.0]))),
+    "delay": Lacking("delay", lambda r, _: replace(r, delay=0.005)),
+    "counts": Lacking(
+        "counts",
+        codes=("coarse_positions", "band_limited_by_noise", "position_noise_bias"),
+        counts=4096.0,
+        rate=1000.0,
+    ),
+    "load_friction": Lacking("load_friction", lambda r, _: replace(r, load_share=_all(0.05, r))),
+    "elastic": Lacking("elastic", _elastic),
+    "presliding": Lacking("presliding", lambda r, _: replace(r, bristle=_all(0.01, r))),
+    "warming": Lacking("warming", lambda r, _: replace(r, warming=0.2), codes=("friction_drifts",)),
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One study of a robot: parameters whose 95 % interval holds the truth, and what was named."""
+
+    names: tuple[str, ...]
+    held: NDArray[np.bool_]
+    named: bool
+    other_names: tuple[str, ...]
+
+
+def logged(
+    cad: RobotModel, lacking: str, seed: int, engine: Engine = "pinocchio"
+) -> tuple[OutsideRobot, Recording]:
+    """Return a robot that has something, and its log."""
+    rng, what, n = np.random.default_rng(seed), LACKING[lacking], cad.n_joints
+    drives = (np.full(n, each) for each in (VISCOUS, COULOMB, OFFSET, 0.0))
+    plain = OutsideRobot(other_bodies(cad, rng), *drives, engine=engine)
+    motion = random_fourier(cad, rng=rng, duration=DURATION, n_harmonics=HARMONICS)
+    robot = what.change(plain, mean_inertia(plain.bodies, motion.sample(2.0).q))
+    turns = tuple(joint.is_revolute for joint in cad.joints)
+    sensors = Sensors(np.full(n, NOISE), counts=what.counts, turns=turns)
+    return robot, robot.log(motion, sensors, what.rate, rng, torque_source="sensor")
+
+
+def trials(
+    name: str, lacking: str, repetitions: int, engine: Engine = "pinocchio"
+) -> Iterator[Trial]:
+    """Yield what studies with default options hold and name."""
+    model = load_robot(ROBOTS[name])
+    bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in model.joints)
+    cad = replace(model, joints=bare)
+    for seed in range(repetitions):
+        robot, log = logged(cad, lacking, seed, engine)
+        yield trial(robot, identify(cad, log), LACKING[lacking])
+
+
+def trial(robot: OutsideRobot, study: Study, what: Lacking) -> Trial:
+    """Hold a study against the truth; parameters of effects, which have none, are left out."""
+    base = study.result.base
+    n_links = 10 * robot.bodies.n_links
+    drives = {
+        f"{symbol}{k + 1}": value
+        for k in range(robot.bodies.n_joints)
+        for symbol, value in zip(
+            ("Fv", "Fc", "Fo"), robot.true_parameters()[n_links + 3 * k :][:3], strict=True
+        )
+    }
+    names = base.standard_names
+    known = [*robot.bodies.parameters, *(drives.get(name, np.nan) for name in names[n_links:])]
+    error = np.abs(study.result.estimates - base.values(np.nan_to_num(known)))
+    lacks = {name for name, value in zip(names, known, strict=True) if np.isnan(value)}
+    kept = [j for j, name in enumerate(base.names) if name not in lacks]
+    held = error < 1.959964 * study.result.std_errors
+    effects = {each.effect for each in named_effects(study)}
+    codes = {finding.code for finding in study.findings}
+    return Trial(
+        tuple(base.names[j] for j in kept),
+        held[kept],
+        what.effect in effects or bool(codes & {*what.codes}),
+        tuple(sorted(effects - {what.effect})),
+    )

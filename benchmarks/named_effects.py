@@ -1,0 +1,99 @@
+"""The effects that a study names: its `effects` or, where they are no such list, its findings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.study import Study
+from effect_score import Effect
+
+APPLIED = "effects" in {each.name for each in fields(StudyOptions)}
+"""Whether studies look for effects by `StudyOptions.effects`."""
+AT_A_JOINT = {
+    "zero_position_wrong": "zero",
+    "joint_gain_wrong": "gain",
+    "torque_does_not_follow": "gain",
+    "joint_torque_scale": "gain",
+    "friction_drifts": "warming",
+    "torque_drifts": "drift",
+    "torque_saturates": "saturation",
+}
+OF_THE_ROBOT = {"clock_wrong": "clock", "rate_wrong": "clock", "torque_delayed": "delay"}
+DEGREES = re.compile(r"(-?[\d.]+) \+- [\d.]+ deg about ([xy])")
+
+
+def named_effects(study: Study) -> tuple[Effect, ...]:
+    """Return what a study names."""
+    if APPLIED or any(_field(each, "estimate") is not None for each in study.effects):
+        return tuple(map(_effect, study.effects))
+    return tuple(dict.fromkeys(_from_findings(study)))
+
+
+def _field(each: Any, name: str, otherwise: Any = None) -> Any:
+    return (
+        each.get(name, otherwise) if isinstance(each, Mapping) else getattr(each, name, otherwise)
+    )
+
+
+def _effect(each: Any) -> Effect:
+    alternatives = tuple(map(_alternative, _field(each, "alternatives", ()) or ()))
+    return Effect(
+        _field(each, "effect"),
+        _field(each, "joint"),
+        *(_plain(_field(each, name)) for name in ("estimate", "std_error")),
+        _field(each, "unit", "") or "",
+        alternatives,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return a number, or a tuple of numbers."""
+    if value is None or isinstance(value, int | float):
+        return value
+    numbers = np.ravel(np.asarray(value, dtype=np.float64)).tolist()
+    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def _alternative(each: Any) -> tuple[str, str | None]:
+    """Return effect and joint of an alternative: an effect, a pair, or text (`zero at j2`)."""
+    if isinstance(each, str):
+        effect, _, joint = each.partition(" at ")
+        return effect, joint or None
+    if isinstance(each, tuple):
+        return each[0], each[1] if len(each) > 1 else None
+    return _field(each, "effect"), _field(each, "joint")
+
+
+def _from_findings(study: Study) -> Iterator[Effect]:
+    names = study.result.joint_names
+    for each in study.findings:
+        if each.code in AT_A_JOINT:  # at further joints they are information
+            yield Effect(AT_A_JOINT[each.code], each.joint)
+        elif each.severity == "info":
+            continue
+        elif each.code in OF_THE_ROBOT:
+            yield Effect(OF_THE_ROBOT[each.code])
+        elif each.code == "base_tilt":
+            turned = {axis: float(value) for value, axis in DEGREES.findall(each.message)}
+            yield Effect("tilt", estimate=tuple(turned.get(axis, 0.0) for axis in "xy"))
+        elif each.code == "spring_suspected":
+            drive = each.cure.settings.get("drive", "") if each.cure else ""
+            for joints in re.findall(r"spring:joints=([\d/]+)", drive):
+                yield from (Effect("spring", names[int(k) - 1]) for k in joints.split("/"))
+        elif each.code == "link_mass_differs":
+            links = study.result.model.link_names
+            yield from (
+                Effect("link_mass", names[k])
+                for k, link in enumerate(links)
+                if re.search(rf"\b{re.escape(link)}\b", each.message)
+            )
+    for each in study.effects:
+        yield Effect("tilt" if each.effect == "base tilt" else each.effect, each.joint)
+    if study.attribution is not None and "payload" in study.attribution.chosen:
+        yield Effect("payload")

@@ -1,0 +1,8 @@
+"""Modules of `benchmarks/` are found last, since some have names of packages."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
