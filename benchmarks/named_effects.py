@@ -30,9 +30,8 @@ DEGREES = re.compile(r"(-?[\d.]+) \+- [\d.]+ deg about ([xy])")
 
 def named_effects(study: Study) -> tuple[Effect, ...]:
     """Return what a study names."""
-    if APPLIED or any(_field(each, "estimate") is not None for each in study.effects):
-        return tuple(map(_effect, study.effects))
-    return tuple(dict.fromkeys(_from_findings(study)))
+    found = tuple(map(_effect, study.effects)) if APPLIED else ()
+    return tuple(dict.fromkeys((*found, *_from_findings(study))))
 
 
 def _field(each: Any, name: str, otherwise: Any = None) -> Any:
@@ -93,7 +92,7 @@ def _from_findings(study: Study) -> Iterator[Effect]:
                 for k, link in enumerate(links)
                 if re.search(rf"\b{re.escape(link)}\b", each.message)
             )
-    for each in study.effects:
+    for each in () if APPLIED else study.effects:
         yield Effect("tilt" if each.effect == "base tilt" else each.effect, each.joint)
     if study.attribution is not None and "payload" in study.attribution.chosen:
         yield Effect("payload")

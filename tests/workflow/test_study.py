@@ -15,14 +15,9 @@ from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.findings import Finding
-from asbuilt.identification.calibration.mounting import Mounting
-from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.attribution.attribution import attribute
-from asbuilt.validation.generalisation import hidden_causes
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study, identify
 
@@ -274,40 +269,3 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
     assert not {"consistent_fit_costly", "consistent_fit_rejected", "base_tilt"} & {
         warning.code for warning in mended.findings
     }
-
-
-@pytest.mark.parametrize(
-    ("left", "elsewhere", "said"),
-    [(0.9995, 0.4, False), (0.9, 0.4, True), (0.9, 0.1, False)],
-)
-def test_a_tilt_that_explains_nothing_is_not_spoken_of(
-    left: float, elsewhere: float, said: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However sure the angle is.
-
-    Bodies that follow the torque as badly when the robot stands so are refused for another reason.
-    """
-    model, drive = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
-    robot = VirtualRobot.ideal(model).with_noise(SensorNoise(torque_noise=0.02))
-    samples = prepare_samples(
-        robot.record(random_fourier(model, rng=1, duration=10.0), rate=100.0, rng=1).recording
-    )
-    result = identify_samples(model, samples, drive=drive)
-    result = replace(result, findings=(Finding("consistent_fit_rejected", "warning", "no bodies"),))
-    angle = np.deg2rad(0.1)
-    stands = Mounting(
-        model,
-        np.eye(3)[:2],
-        np.array([angle, 0.0]),
-        (0.01 * angle) ** 2 * np.eye(2),
-        model.gravity,
-        np.ones(2),
-        np.full(2, left),
-    )
-    assert stands.is_tilted
-    assert stands.relief == pytest.approx(1.0 - left)
-    monkeypatch.setattr(hidden_causes, "find_mounting", lambda *_, **__: stands)
-    monkeypatch.setattr(hidden_causes, "suspected_springs", lambda *_, **__: ())
-    monkeypatch.setattr(hidden_causes, "relief_on_other_motions", lambda *_, **__: (elsewhere, 0.2))
-    found = hidden_causes.find_hidden_causes(result, [samples], drive, tilt=0.0).findings
-    assert ("base_tilt" in {finding.code for finding in found}) is said

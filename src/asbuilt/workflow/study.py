@@ -19,6 +19,7 @@ from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.determination import Determination, determination
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.stored_document import stored_document
@@ -26,7 +27,6 @@ from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison, compare
-from asbuilt.validation.generalisation.missing_effects import MissingEffect
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
@@ -70,7 +70,7 @@ class Study:
     refined
         How the refinement by trajectories went; None without one.
     effects
-        Effects that the model lacks and the recordings show; standard errors include their bias.
+        What the recordings show and the description lacks, in the model or named only.
 
     A study that is read from a file has the result and the findings alone.
     """
@@ -84,7 +84,7 @@ class Study:
     attribution: Attribution | None = None
     rollouts: tuple[Rollout, ...] = ()
     refined: Refined | None = None
-    effects: tuple[MissingEffect, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()
 
     def __repr__(self) -> str:
         codes = ", ".join(finding.code for finding in self.findings) or "none"
@@ -214,7 +214,7 @@ def identify(
         concluded.validations,
         cutoffs,
         concluded.attribution,
-        effects=concluded.effects,
+        effects=fits.effects,
         refined=fits.refined,
     )
     if not options.rollout and not options.refine:

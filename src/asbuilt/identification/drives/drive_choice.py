@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,9 +89,11 @@ def settle_drive(
     `drive` is that of `stated_drive`; "auto" adds the terms that the samples show.
     """
     stated = stated_drive(model, samples, drive)
-    if isinstance(drive, str):
-        stated = find_effects(model, stated, samples, keys=drive_effects()).drive
-    return settle_nonlinear(model, samples, stated)
+    if not isinstance(drive, str):
+        return settle_nonlinear(model, samples, stated)
+    found = find_effects(model, stated, samples, keys=drive_effects())
+    choice = settle_nonlinear(model, samples, found.drive)
+    return replace(choice, fitted=(*found.fitted, *choice.fitted))
 
 
 def stated_drive(
@@ -128,9 +130,13 @@ def stated_drive(
     return usual
 
 
-def drive_effects() -> tuple[str, ...]:
-    """Return the keys of the effects that are drive terms."""
-    return tuple(key for key, each in EFFECTS.items() if isinstance(each, DriveEffect))
+def drive_effects(*, by_construction: bool = False) -> tuple[str, ...]:
+    """Return the keys of the effects that are drive terms, with springs and balancers if asked."""
+    return tuple(
+        key
+        for key, each in EFFECTS.items()
+        if isinstance(each, DriveEffect) and (by_construction or not each.term.by_construction)
+    )
 
 
 def settle_nonlinear(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> DriveChoice:

@@ -25,7 +25,7 @@ class FoundEffect:
     error_before, error_after
         Relative torque error on held-out groups of different motion, without and with it.
     alternatives
-        Other effects that explain the recordings as well: keys, with `@` and the joint.
+        Other effects that explain the recordings as well: such as `spring at elbow`.
     text
         A sentence.
     """

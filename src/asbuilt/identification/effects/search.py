@@ -18,11 +18,13 @@ from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.gathering import Candidate, gather_equations
 from asbuilt.identification.effects.selection import Prior, Selection, Trial
+from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
 from asbuilt.identification.information.held_out import different_motions
@@ -58,11 +60,12 @@ LIMITS = SearchLimits()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Effects:
-    """Hold what was found, and the robot and drive terms with it."""
+    """Hold what was found, the robot and drive terms with it, and what of them was fitted."""
 
     model: RobotModel
     drive: DriveSet
     found: tuple[FoundEffect, ...] = ()
+    fitted: tuple[NonlinearPlace, ...] = ()
 
     def named_only(self, model: RobotModel, drive: DriveSet) -> Effects:
         """Return the same effects beside a robot without them."""
@@ -134,12 +137,39 @@ class _Search:
                 break
         others = [each for each in path if each.candidate.effect.key != Tilt.key]
         taken = [*([replace(first, values=tilt)] if first else []), *others]
-        drive = with_terms(self.drive, [each.candidate for each in others], self.model.n_joints)
+        drive, fitted, undetermined = self._fitted(turned, [each.candidate for each in others])
         found = tuple(
             self._found(each, selection, errors.get(each.candidate.at, (0.0, 0.0)))
             for each in taken
+            if each.candidate.at not in undetermined
         )
-        return Effects(turned, drive, found)
+        return Effects(turned, drive, found, fitted)
+
+    def _fitted(
+        self, model: RobotModel, taken: Sequence[Candidate]
+    ) -> tuple[DriveSet, tuple[NonlinearPlace, ...], set[tuple[str, int | None]]]:
+        """Return drive terms with nonlinear parameters, those fitted, and what had none."""
+        n = self.model.n_joints
+        drive = with_terms(self.drive, taken, n)
+        if drive.is_linear or not any(each.term and each.term.nonlinear for each in taken):
+            return drive, (), set()
+        fit = fit_nonlinear(model, drive, self.samples)
+        undetermined = {
+            each.at
+            for each in taken
+            for own in fit.nonlinear
+            if own.term == each.effect.key
+            and each.joint is not None
+            and not own.determined[each.joint]
+        }
+        kept = [each for each in taken if each.at not in undetermined]
+        drive = with_terms(self.drive, kept, n)
+        for own in fit.nonlinear:
+            term = next((each for each in drive.terms if each.key == own.term), None)
+            if term is not None:
+                drive = drive.with_term(term.with_nonlinear({own.parameter.name: own.values}))
+        places = tuple(each for each in fit.places if (each.term, each.joint) not in undetermined)
+        return drive, places, undetermined
 
     def _selected(self, model: RobotModel) -> tuple[Selection, list[Trial]]:
         """Return a selection on a robot, and what it took."""
@@ -148,7 +178,9 @@ class _Search:
         fit = fit_consistent(seen, prior)
         groups = different_motions(seen, fit.weights)
         if len(groups) < LIMITS.fewest_groups:
-            raise IdentifiabilityError(f"{len(groups)} groups of motion of {model.name} are too few")
+            raise IdentifiabilityError(
+                f"{len(groups)} groups of motion of {model.name} are too few"
+            )
         effect = design_effect(seen, fit)
         source = self.samples[0].torque_source
         speeds = tuple(each.qd for each in self.samples)
@@ -183,7 +215,7 @@ class _Search:
         size, error, unit = effect.size(trial.values, trial.covariance, revolute=revolute)
         before, after = errors
         others = tuple(
-            each.effect.key + ("" if each.joint is None else f"@{names[each.joint]}")
+            each.effect.key + ("" if each.joint is None else f" at {names[each.joint]}")
             for each in trial.alternatives
         )
         return FoundEffect(

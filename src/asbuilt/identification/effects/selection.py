@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import fdtrc, stdtr
+from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.gathering import Candidate, EffectEquations
@@ -227,19 +227,8 @@ class Selection:
                 for x in (self._fit(self._total - gram, inside, none).residual,)
             ]
         )
-        x = self._residual = self._fit(self._total, inside, none).residual
+        x = self._fit(self._total, inside, none).residual
         return held, float(x @ self._total @ x), self._distance(x)
-
-    def _better(self, after: Array, candidate: Candidate) -> float:
-        """Return the p value of a fall of the squared error, by Student's test over blocks.
-
-        Of a term that replaces another one, for which being zero is no question.
-        """
-        before = self._residual
-        fall = np.array([before @ g @ before - after @ g @ after for g in self._blocks])
-        B = len(fall)
-        spread = float(fall.std(ddof=1)) / np.sqrt(B) if B > 1 else np.inf
-        return float(stdtr(max(B - 1, 1), -fall.mean() / spread)) if spread > 0.0 else 1.0
 
     def _distance(self, residual: Array) -> float:
         away = -residual[: self.equations.n_base] - self.prior.mean
@@ -263,6 +252,8 @@ class Selection:
         by_block = np.array([whole.moves.T @ (gram @ whole.residual) for gram in self._blocks])
         of_block = np.array([whole.moves.T @ gram @ whole.moves for gram in self._blocks])
         length = np.diag(self._total)
+        floor = np.finfo(np.float64).eps * np.array([gram[-1, -1] for gram in self._held])
+        floor = floor + np.finfo(np.float64).tiny
         found = []
         for each in candidates:
             c = np.searchsorted(columns, each.places)
@@ -275,11 +266,14 @@ class Selection:
             left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
             covariance, p_value = _scatter(own, left, d)
             after = whole.residual + whole.moves[:, c] @ d
-            if len(each.replaces):
-                p_value = self._better(after, each)
-            relief = np.log(held_before / np.array([_left_out(part, c) for part in parts]))
+            held_after = np.array([_left_out(part, c, size) for part in parts])
+            relief = np.log(np.maximum(held_before, floor) / np.maximum(held_after, floor))
             error, distance = float(after @ self._total @ after), self._distance(after)
             effect = 2.0 * self.prior.effect
+            gain = (error_before + distance_before - error - distance) / effect
+            if len(each.replaces):
+                # That a term in place of another one is zero is no question: its gain is one.
+                p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
             found.append(
                 Trial(
                     each,
@@ -287,7 +281,7 @@ class Selection:
                     covariance,
                     p_value,
                     relief,
-                    (error_before + distance_before - error - distance) / effect,
+                    gain,
                     (distance_before - distance) / effect,
                     1.0 - error / error_before,
                 )
@@ -330,9 +324,9 @@ def _scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
 
-def _left_out(part: tuple[_Fit, Array, Array, float], c: Indices) -> float:
+def _left_out(part: tuple[_Fit, Array, Array, float], c: Indices, size: Array) -> float:
     """Return the squared error on a held-out group of the fit with columns c to the others."""
     fit, gradient, gram, error = part
     own = fit.schur[np.ix_(c, c)]
-    d = np.linalg.solve(own + 1e-12 * np.trace(own) * np.eye(len(c)), fit.score[c])
-    return max(error + 2.0 * float(d @ gradient[c]) + float(d @ gram[np.ix_(c, c)] @ d), 1e-300)
+    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), fit.score[c])
+    return error + 2.0 * float(d @ gradient[c]) + float(d @ gram[np.ix_(c, c)] @ d)

@@ -111,7 +111,7 @@ def effective_rank(moves: Array) -> float:
 def _absorbed(share: float, seen: float) -> tuple[float, float]:
     """Return the factor for absorbed residuals, and its slope: d log D / d log D_moves."""
     left = 1.0 - 4.0 * share * seen * (1.0 - share)
-    if share <= 0.0:
+    if share <= 0.0 or left >= 1.0:
         return 1.0, 1.0
     root = np.sqrt(max(left, LEAST_LEFT))
     grown = (1.0 - root) / (0.5 * (1.0 - max(left, LEAST_LEFT)) / (1.0 - share))

@@ -31,7 +31,6 @@ from asbuilt.validation.generalisation.generalisation import (
     validation_findings,
 )
 from asbuilt.validation.generalisation.missing_effects import (
-    MissingEffect,
     confirmed_effects,
     missing_effect_findings,
 )
@@ -55,7 +54,6 @@ class Conclusion:
     training: tuple[Validation, ...]
     validations: tuple[Validation, ...]
     attribution: Attribution | None
-    effects: tuple[MissingEffect, ...]
 
 
 def conclude_study(
@@ -120,7 +118,7 @@ def conclude_study(
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )
-    return Conclusion(result, consolidated(findings), trained, validations, attribution, effects)
+    return Conclusion(result, consolidated(findings), trained, validations, attribution)
 
 
 def _validation_findings(

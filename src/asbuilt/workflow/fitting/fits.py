@@ -19,7 +19,7 @@ from asbuilt.identification.drives.drive_choice import (
 )
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.identification.effects.search import find_effects
+from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.prediction import Validation, predict_both
@@ -189,14 +189,15 @@ def _with_effects(
         used, seconds = prepared.whole or samples, options.block_seconds
         mounting = find_mounting(model, used, drive=drive, block_seconds=seconds)
         model = mounting.model
-    found: tuple[FoundEffect, ...] = ()
+    effects = Effects(model, drive)
     keys = _open_effects(options, samples[0].torque_source)
     if keys:
         effects = find_effects(model, drive, samples, keys=keys)
         if wanted.choice == "find":
             effects = effects.named_only(model, drive)
-        model, drive, found = effects.model, effects.drive, effects.found
-    return model, settle_nonlinear(model, samples, drive), mounting, found
+    choice = settle_nonlinear(effects.model, samples, effects.drive)
+    choice = replace(choice, fitted=(*effects.fitted, *choice.fitted))
+    return effects.model, choice, mounting, effects.found
 
 
 def _open_effects(options: StudyOptions, source: str) -> list[str]:
@@ -207,7 +208,7 @@ def _open_effects(options: StudyOptions, source: str) -> list[str]:
     """
     looking = options.wanted_effects.choice in ("auto", "find")
     by_drive = isinstance(options.drive, str) or (looking and options.drive is None)
-    keys = list(drive_effects()) if by_drive else []
+    keys = list(drive_effects(by_construction=looking)) if by_drive else []
     if looking and options.mounting != "estimate":
         keys.append(Tilt.key)
     return keys if source != "command" or isinstance(options.drive, str) else []

@@ -1,0 +1,165 @@
+"""Effects that no file describes: found where one was put, none where none is.
+
+The truth is put into samples whose torques Pinocchio's equal (`trial`), or recorded on real arms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.effects.search import find_effects
+from asbuilt.identification.effects.wanted import EffectsWanted
+from asbuilt.identification.identify import identify_samples
+from asbuilt.validation.prediction import validate_samples
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.study import identify
+
+DRIVE = DriveSet.parse("viscous,coulomb,offset")
+
+
+def sprung(case, stiffness, noise=0.02):
+    """The samples of a trial with springs (n,) about its joints and residuals that last some
+    samples.
+    """
+    rng = np.random.default_rng(5)
+    samples = case.samples
+    colour = rng.normal(size=samples.tau.shape)
+    for k in range(1, len(colour)):
+        colour[k] = 0.8 * colour[k - 1] + 0.6 * colour[k]
+    size = np.sqrt(np.mean(samples.tau**2, axis=0))
+    return replace(
+        samples,
+        tau=samples.tau + samples.q * stiffness + noise * size * colour,
+        tau_raw=np.zeros(0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("robot", "joint", "stiffness"),
+    [("kuka-iiwa7-r800", 5, 0.6), ("ur10e", 3, 2.0), ("puma-560", 4, 1.0)],
+)
+def test_a_spring_is_found_where_it_is_and_nowhere_else(trial, robot, joint, stiffness) -> None:
+    case = trial(robot, "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
+    springs = np.zeros(case.model.n_joints)
+    assert find_effects(case.model, DRIVE, [sprung(case, springs)]).found == ()
+    springs[joint] = stiffness
+    effects = find_effects(case.model, DRIVE, [sprung(case, springs)])
+    (found,) = effects.found
+    assert (found.effect, found.joint) == ("spring", case.model.joint_names[joint])
+    assert found.estimate == pytest.approx(stiffness, rel=0.3)
+    assert found.unit == "N m/rad"
+    assert found.in_model
+    assert found.error_after < found.error_before
+    assert case.model.joint_names[joint] in found.text
+    assert effects.drive == DRIVE.with_term(*DriveSet.parse(f"spring:joints={joint + 1}").terms)
+    named = effects.named_only(case.model, DRIVE)
+    assert (named.drive, named.found[0].in_model) == (DRIVE, False)
+
+
+def test_a_described_spring_and_too_short_a_recording_show_nothing(trial) -> None:
+    case = trial("ur10e", "viscous,coulomb,offset", seed=22, duration=30.0, rate=20.0)
+    springs = np.zeros(6)
+    springs[3] = 2.0
+    samples = sprung(case, springs)
+    described = DRIVE.with_term(*DriveSet.parse("spring:joints=4").terms)
+    assert find_effects(case.model, described, [samples]).found == ()
+    short = samples.between(samples.t[0], samples.t[0] + 2.0)
+    assert find_effects(case.model, DRIVE, [short]).found == ()
+
+
+def test_described_springs_stay_while_others_are_found(trial) -> None:
+    """A spring that the robot is known to have changes nothing about another."""
+    case = trial("ur10e", "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
+    springs = np.zeros(6)
+    springs[4] = 1.0
+    (alone,) = find_effects(case.model, DRIVE, [sprung(case, springs)]).found
+    springs[3] = 2.0
+    described = DRIVE.with_term(*DriveSet.parse("spring:joints=4").terms)
+    effects = find_effects(case.model, described, [sprung(case, springs)])
+    (other,) = effects.found
+    assert other.joint == alone.joint == case.model.joint_names[4]
+    assert other.estimate == pytest.approx(alone.estimate, rel=1e-2)
+    assert effects.drive == DRIVE.with_term(*DriveSet.parse("spring:joints=4/5").terms)
+
+
+@pytest.mark.parametrize("angle", [3.0, -2.0])
+def test_a_tilt_has_the_sign_of_the_world_and_turns_gravity_back(trial, angle) -> None:
+    """A base turned by +3 deg about x reads +3 deg.
+
+    The description's gravity is turned by +3 deg against that of the samples: the base that saw
+    the samples is turned by +3 deg against the described one.
+    """
+    case = trial("ur10e", "viscous,coulomb,offset", seed=23, duration=60.0, rate=20.0)
+    level = np.array(case.model.gravity)
+    described = case.model.with_gravity(
+        Rotation.from_rotvec([np.deg2rad(angle), 0.0, 0.0]).apply(level)
+    )
+    effects = find_effects(described, DRIVE, [sprung(case, np.zeros(6))])
+    (found,) = effects.found
+    assert (found.effect, found.joint) == ("tilt", None)
+    np.testing.assert_allclose(effects.model.gravity, level, atol=0.03)
+    assert found.estimate == pytest.approx(abs(angle), abs=0.2)
+    assert f"({angle:+.0f}"[:2] in found.text
+
+
+def test_what_is_wanted_is_read_from_text() -> None:
+    assert EffectsWanted.parse("auto").choice == "auto"
+    stated = EffectsWanted.parse("spring:joints=2,tilt")
+    assert (stated.choice, str(stated.drive), stated.tilt) == ("list", "spring:joints=2", True)
+    assert str(stated) == "spring:joints=2,tilt"
+    with pytest.raises(UsageError, match="did you mean 'spring'"):
+        StudyOptions(effects="sprang")
+    with pytest.raises(UsageError, match="neither auto, find or none"):
+        StudyOptions(effects="auto,tilt")
+
+
+@pytest.mark.study
+def test_effects_of_a_real_arm_predict_its_other_motion(shared) -> None:
+    """LWR4+: trained on one motion, another one is predicted better with what was found."""
+    model = load_robot(shared / "models/kuka_lwr4.urdf")
+    logs = [
+        read_recordings([shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model)[0]
+        for number in (1, 2, 3)
+    ]
+    samples = [prepare_samples(each, resolve_chain(SignalChain(), each)) for each in logs]
+    effects = find_effects(model, DRIVE, samples[:2])
+    assert {"tilt"} <= {each.effect for each in effects.found}
+    assert "lwr_6_joint" in {each.joint for each in effects.found}
+    none, auto = (
+        validate_samples(
+            identify_samples(robot, samples[:2], drive=drive, method="auto"), samples[2]
+        ).metrics_as_built.relative_error
+        for robot, drive in ((model, DRIVE), (effects.model, effects.drive))
+    )
+    assert none > 0.04
+    assert auto < 0.0284
+
+
+@pytest.mark.study
+def test_a_study_has_what_it_finds_in_the_model_or_only_names_it(shared) -> None:
+    model = load_robot(shared / "models/kuka_lwr4.urdf")
+    logs = [
+        read_recordings([shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model)[0]
+        for number in (1, 3)
+    ]
+    errors = {}
+    for choice in ("auto", "find", "none"):
+        study = identify(model, logs[:1], validation=logs[1:], options=StudyOptions(effects=choice))
+        errors[choice] = study.validations[0].metrics_as_built.relative_error
+        assert {each.in_model for each in study.effects} <= {choice == "auto"}
+        assert bool(study.effects) == (choice != "none")
+        codes = {finding.code for finding in study.findings}
+        assert ("effect_in_model" in codes) == (choice == "auto")
+        assert ("effect_found" in codes) == (choice == "find")
+    assert errors["auto"] < 0.8 * errors["none"]
+    assert errors["find"] == errors["none"]
