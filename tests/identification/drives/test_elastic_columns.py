@@ -11,10 +11,17 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.drives.elastic_columns import elastic_columns
+from asbuilt.identification.drives.elastic_columns import elastic_columns as of_joint
 
 pin = pytest.importorskip("pinocchio")
 RATE = 1000.0
+
+
+def elastic_columns(model: RobotModel, chi: np.ndarray, samples: Samples) -> np.ndarray:
+    """Return the columns of all joints, (N, n, n)."""
+    state = np.stack([samples.q, samples.qd, samples.qdd])
+    joints = range(model.n_joints)
+    return np.stack([of_joint(model, chi, state, samples.rate, k) for k in joints], axis=-1)
 
 
 def as_samples(model: RobotModel, q: np.ndarray, tau: np.ndarray) -> Samples:
@@ -93,18 +100,3 @@ def test_what_is_left_is_of_second_order(name: str) -> None:
         felt = np.linalg.norm((columns @ (share * compliance))[inside], axis=0)
         assert np.all(left[-1] < 0.2 * felt)
     np.testing.assert_allclose(left[1] / left[0], 0.25, atol=0.03)
-
-
-def test_segments_are_differentiated_apart() -> None:
-    model = load_robot("two-link")
-    move = random_fourier(model, rng=4, duration=2.0).sample(200.0)
-    parts = np.r_[0:150, 250:401]
-    taken = [np.array(x)[parts] for x in (move.t, move.q, move.qd, move.qdd, move.q)]
-    names = model.joint_names
-    split = Samples(*taken, rate=200.0, joint_names=names, segments=((0, 150), (150, 301)))
-    first = Samples(*(x[:150] for x in taken), rate=200.0, joint_names=names)
-    np.testing.assert_allclose(
-        elastic_columns(model, model.parameters, split)[:150],
-        elastic_columns(model, model.parameters, first),
-        rtol=1e-6,
-    )

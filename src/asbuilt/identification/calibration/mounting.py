@@ -62,7 +62,7 @@ class Mounting:
     as_given
         The robot as described.
     axes, tilt
-        Axes (2, 3) of the root frame and angles (2,) [rad] by which gravity is turned.
+        Axes (2, 3) of the root frame and angles (2,) [rad] by which the base is turned.
     covariance
         Of the tilt (2, 2), for residuals that are correlated within a time block.
     gravity
@@ -309,7 +309,9 @@ def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> 
 
 
 def _turned(model: RobotModel, axes: Array, tilt: Array) -> RobotModel:
-    return model.with_gravity(Rotation.from_rotvec(tilt @ axes).apply(np.array(model.gravity)))
+    """Return a robot whose base is turned: gravity turns the other way in its root frame."""
+    turn = Rotation.from_rotvec(tilt @ axes)
+    return model.with_gravity(turn.inv().apply(np.array(model.gravity)))
 
 
 def _written(axis: Array) -> str:

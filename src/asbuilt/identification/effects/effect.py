@@ -39,10 +39,12 @@ class Described:
 class Motion:
     """Hold states (L, n) of a robot on a span of samples, and what its model makes of them.
 
-    `elapsed` (L,) runs from -1/2 at the start of the recording to 1/2 at its end.
+    `elapsed` (L,) runs from -1/2 at the start of the recording to 1/2 at its end; `rate` is that of
+    the samples [Hz], which are without gaps.
     """
 
     robot: Described
+    rate: float
     q: Array
     qd: Array
     qdd: Array
@@ -73,6 +75,7 @@ class Variant:
     joint: int | None = None
     joints: tuple[int, ...] = ()
     term: DriveTerm | None = None
+    trial: float = 0.0
 
 
 class Effect(ABC):
@@ -88,8 +91,10 @@ class Effect(ABC):
     """Name in sentences."""
     kind: ClassVar[str] = ""
     """What it is a form of, such as torque over position; a joint has one effect of a kind."""
+    in_model: ClassVar[bool] = False
+    """Whether a model can have it; others are named."""
     of_log: ClassVar[bool] = False
-    """Whether the log is wrong rather than the model: named with its cure, never applied."""
+    """Whether the log is wrong rather than the model."""
     positive: ClassVar[bool] = False
     """Whether only positive values are physical."""
 

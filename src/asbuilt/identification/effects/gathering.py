@@ -192,7 +192,8 @@ def _evaluated(
 
     def evaluate(span: slice) -> list[Array]:
         elapsed = (samples.t[span] - samples.t[0]) / length - 0.5
-        motion = Motion(robot, samples.q[span], samples.qd[span], samples.qdd[span], elapsed)
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        motion = Motion(robot, samples.rate, *state, elapsed)
         return [c for each in variants for c in each.effect.columns(each, motion)]
 
     return evaluate

@@ -137,7 +137,8 @@ class _Search:
                 break
         others = [each for each in path if each.candidate.effect.key != Tilt.key]
         taken = [*([replace(first, values=tilt)] if first else []), *others]
-        drive, fitted, undetermined = self._fitted(turned, [each.candidate for each in others])
+        added = [each.candidate for each in others if each.candidate.effect.in_model]
+        drive, fitted, undetermined = self._fitted(turned, added)
         found = tuple(
             self._found(each, selection, errors.get(each.candidate.at, (0.0, 0.0)))
             for each in taken
@@ -185,11 +186,7 @@ class _Search:
         source = self.samples[0].torque_source
         speeds = tuple(each.qd for each in self.samples)
         robot = Described(model, self.drive, fit.standard, source, self.largest, speeds)
-        wanted = [
-            each
-            for each in EFFECTS.values()
-            if not each.of_log and (self.keys is None or each.key in self.keys)
-        ]
+        wanted = [each for each in EFFECTS.values() if self.keys is None or each.key in self.keys]
         equations = gather_equations(
             robot, base, self.samples, effects=wanted, block_seconds=self.seconds
         )
@@ -224,7 +221,7 @@ class _Search:
             estimate=size,
             std_error=error,
             unit=unit,
-            in_model=True,
+            in_model=effect.in_model,
             torque=selection.torque_of(trial),
             error_before=before,
             error_after=after,

@@ -17,6 +17,7 @@ from asbuilt.identification.drives.drive_choice import (
     settle_nonlinear,
     stated_drive,
 )
+from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.search import Effects, find_effects
@@ -200,18 +201,19 @@ def _with_effects(
     return effects.model, choice, mounting, effects.found
 
 
-def _open_effects(options: StudyOptions, source: str) -> list[str]:
+def _open_effects(options: StudyOptions, source: str) -> set[str]:
     """Return the keys of the effects that are neither stated nor unwanted.
 
     Stated drive terms leave no others open. Where commands stand for torques, whose servo is
     another unknown, drive terms are open only if that is asked for.
     """
     looking = options.wanted_effects.choice in ("auto", "find")
-    by_drive = isinstance(options.drive, str) or (looking and options.drive is None)
-    keys = list(drive_effects(by_construction=looking)) if by_drive else []
-    if looking and options.mounting != "estimate":
-        keys.append(Tilt.key)
-    return keys if source != "command" or isinstance(options.drive, str) else []
+    keys = set(EFFECTS) if looking else set(drive_effects())
+    if isinstance(options.drive, DriveSet) or not (looking or options.drive):
+        keys -= set(drive_effects(by_construction=True))
+    if options.mounting == "estimate":
+        keys.discard(Tilt.key)
+    return keys if source != "command" or isinstance(options.drive, str) else set()
 
 
 def _predicted(fit: Fit, samples: Samples) -> Validation:

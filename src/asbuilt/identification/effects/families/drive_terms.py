@@ -24,6 +24,8 @@ TITLES = {"spring": "torsion spring", "balancer": "gravity spring or balancer"}
 class DriveEffect(Effect):
     """Add a drive term at a joint."""
 
+    in_model = True
+
     def __init__(self, term: DriveTerm) -> None:
         """Take the term at every joint, its nonlinear parameters free."""
         self.term = term

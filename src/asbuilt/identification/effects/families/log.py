@@ -13,10 +13,9 @@ ANGLE, LENGTH, SPEED = 1e-4, 1e-5, 1e-3
 """Steps of central differences: angle [rad], length [m], share of the speed."""
 
 
-class _OfLog(Effect):
-    of_log = True
-
+class _AtEveryJoint(Effect):
     def variants(self, robot: Described) -> Iterator[Variant]:
+        """Yield the effect at every joint."""
         yield Variant(self, 1, local=True, joints=tuple(range(robot.model.n_joints)))
 
 
@@ -62,10 +61,10 @@ class Zero(Effect):
 
 
 @effect
-class Gain(_OfLog):
+class Gain(_AtEveryJoint):
     """Log the torques of a joint too large by a share."""
 
-    key, title = "gain", "wrong torque gain"
+    key, title, of_log = "gain", "wrong torque gain", True
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the model."""
@@ -73,10 +72,10 @@ class Gain(_OfLog):
 
 
 @effect
-class Drift(_OfLog):
+class Drift(_AtEveryJoint):
     """Let the torque offset drift over the recording [N m or N]."""
 
-    key, title = "drift", "drift of the torque offset"
+    key, title, of_log = "drift", "drift of the torque offset", True
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the share of the recording that has passed."""
@@ -84,10 +83,10 @@ class Drift(_OfLog):
 
 
 @effect
-class Warming(_OfLog):
+class Warming(_AtEveryJoint):
     """Let the drive's torque change by a share over the recording."""
 
-    key, title, of_log = "warming", "drift of friction", False
+    key, title = "warming", "drift of friction"
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the drive times the share of the recording that has passed."""

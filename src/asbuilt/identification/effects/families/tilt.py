@@ -22,6 +22,7 @@ class Tilt(Effect):
 
     key = "tilt"
     title = "base tilt"
+    in_model = True
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return the angle between both directions of gravity [deg]."""

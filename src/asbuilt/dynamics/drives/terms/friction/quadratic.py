@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from asbuilt.dynamics.drives.term import DriveTerm, drive_term
+from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, drive_term
 
 
 @drive_term
@@ -17,4 +17,5 @@ class Quadratic(DriveTerm):
     formula = "Fq qd |qd|"
     revolute_units = ("N m s^2/rad^2",)
     prismatic_units = ("N s^2/m^2",)
+    tried_for = ALL_SOURCES
     ratio_powers = (3.0,)
