@@ -459,7 +459,7 @@ def rows(
     yield from (known[number] for number in wanted if number in known)
     left = [number for number in wanted if number not in known]
     one = partial(measured, families=families)
-    with ProcessPoolExecutor(jobs) as pool:
+    with ProcessPoolExecutor(jobs) as pool:  # starts no process before it is asked to work
         for row in pool.map(one, left) if jobs > 1 else map(one, left):
             if out is not None:
                 out.parent.mkdir(parents=True, exist_ok=True)
