@@ -228,8 +228,12 @@ def coverage_where_lacking(
     per_parameter = [float(np.mean(each)) for each in held.values()]
     silent = [inside for each in every if not each.named for inside in each.held.tolist()]
     others = Counter(name for each in every for name in each.other_names)
-    for name, count in others.items():
-        print(f"  {robot} with {lacking}: {name} named in {count} of {len(every)}", flush=True)
+    print(
+        f"{robot} with {lacking}: {np.mean(per_parameter):.3f} ({min(per_parameter):.2f}), named in"
+        f" {sum(each.named for each in every)} of {len(every)},"
+        f" {np.mean(silent) if silent else np.nan:.3f} where not; also named {dict(others)}",
+        flush=True,
+    )
     return {
         "": float(np.mean(per_parameter)),
         "_worst_parameter": min(per_parameter),

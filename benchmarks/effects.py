@@ -37,7 +37,7 @@ from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from asbuilt.workflow.validation import validate
-from effect_score import Row, Score, Truth, by_family, score
+from effect_score import VISIBLE, Row, Score, Truth, by_family, score
 from named_effects import APPLIED, named_effects
 from outside_robot import (
     OutsideRobot,
@@ -58,6 +58,8 @@ COARSE = 100.0
 """Rate [Hz] at which sizes are drawn and effects are weighed."""
 FELT = 0.3
 """Change of some joint's torque, in standard deviations of its noise, that makes an effect."""
+SEEN_BY_CAD = ("gravity_spring", "balancer", "payload", "link_mass", "gain", "zero")
+"""Families that bodies may imitate, at a distance from CAD; others must be visible without it."""
 TRIES = 6
 WEIGHED = 1500
 """Samples of the fit that weighs what no parameter imitates."""
@@ -372,7 +374,7 @@ def with_effects(
 ) -> tuple[OutsideRobot, tuple[Truth, ...]]:
     """Return the robot with effects of different families at different joints, and what they are.
 
-    An effect that no torque feels is drawn again.
+    An effect that no torque feels is drawn again, and one that friction imitates wholly.
     """
     truth: list[Truth] = []
     for family in rng.permutation(families).tolist():
@@ -386,9 +388,11 @@ def with_effects(
             joint = None if k is None else facts.model.joint_names[k]
             if joint in taken or felt(robot, changed, facts, motion) < FELT:
                 continue
-            beside = facts.model.joint_names[k - 1 : k] if family == "coupling" and k else ()
             apart = [hidden_from_fit(each, facts, motion) for each in (changed, robot)]
             visible = round(apart[0] - apart[1], 3)
+            if visible < VISIBLE and family not in SEEN_BY_CAD:
+                continue
+            beside = facts.model.joint_names[k - 1 : k] if family == "coupling" and k else ()
             truth.append(Truth(family, joint, float(size), unit, visible, beside))
             robot = changed
             break
@@ -455,7 +459,7 @@ def rows(
     yield from (known[number] for number in wanted if number in known)
     left = [number for number in wanted if number not in known]
     one = partial(measured, families=families)
-    with ProcessPoolExecutor(jobs) as pool:
+    with ProcessPoolExecutor(jobs) as pool:  # starts no process before it is asked to work
         for row in pool.map(one, left) if jobs > 1 else map(one, left):
             if out is not None:
                 out.parent.mkdir(parents=True, exist_ok=True)

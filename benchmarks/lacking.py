@@ -1,6 +1,6 @@
 """Logs of robots with something that the model lacks, whose torque another engine computes.
 
-40 s of a motion of its own each, bodies off from CAD as usual, torque noise of 0.3 N m correlated
+40 s of a motion of its own each, bodies off from CAD as usual, torque noise of 0.1 N m correlated
 over 0.1 s, encoders at the motors and torque sensors behind the gears.
 """
 
@@ -30,8 +30,8 @@ ROBOTS = {
     "iiwa 14": str(SHARED_IIWA) if SHARED_IIWA.exists() else "kuka-iiwa7-r800",
 }
 """Without the recordings' folder the iiwa 7 takes the place of the iiwa 14."""
-DURATION, RATE, HARMONICS = 40.0, 200.0, 12
-NOISE = 0.3
+DURATION, RATE, HARMONICS = 40.0, 200.0, 40
+NOISE = 0.1
 VISCOUS, COULOMB, OFFSET = 1.0, 2.0, 0.3
 
 

@@ -25,7 +25,7 @@ AT_A_JOINT = {
     "torque_saturates": "saturation",
 }
 OF_THE_ROBOT = {"clock_wrong": "clock", "rate_wrong": "clock", "torque_delayed": "delay"}
-DEGREES = re.compile(r"(-?[\d.]+) \+- [\d.]+ deg about ([xy])")
+DEGREES = re.compile(r"([+-]?[\d.]+)(?: \+- [\d.]+ deg)? about ([xy])")
 
 
 def named_effects(study: Study) -> tuple[Effect, ...]:
@@ -42,10 +42,15 @@ def _field(each: Any, name: str, otherwise: Any = None) -> Any:
 
 def _effect(each: Any) -> Effect:
     alternatives = tuple(map(_alternative, _field(each, "alternatives", ()) or ()))
+    about = (
+        _about_axes(_field(each, "text", "") or "") if _field(each, "effect") == "tilt" else None
+    )
+    estimate, error = (_plain(_field(each, name)) for name in ("estimate", "std_error"))
     return Effect(
         _field(each, "effect"),
         _field(each, "joint"),
-        *(_plain(_field(each, name)) for name in ("estimate", "std_error")),
+        about or estimate,
+        error,
         _field(each, "unit", "") or "",
         alternatives,
     )
@@ -57,6 +62,12 @@ def _plain(value: Any) -> Any:
         return value
     numbers = np.ravel(np.asarray(value, dtype=np.float64)).tolist()
     return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def _about_axes(text: str) -> tuple[float, float] | None:
+    """Return the degrees about x and y that a sentence on a tilt gives."""
+    turned = {axis: float(value) for value, axis in DEGREES.findall(text)}
+    return (turned.get("x", 0.0), turned.get("y", 0.0)) if turned else None
 
 
 def _alternative(each: Any) -> tuple[str, str | None]:
@@ -79,8 +90,7 @@ def _from_findings(study: Study) -> Iterator[Effect]:
         elif each.code in OF_THE_ROBOT:
             yield Effect(OF_THE_ROBOT[each.code])
         elif each.code == "base_tilt":
-            turned = {axis: float(value) for value, axis in DEGREES.findall(each.message)}
-            yield Effect("tilt", estimate=tuple(turned.get(axis, 0.0) for axis in "xy"))
+            yield Effect("tilt", estimate=_about_axes(each.message))
         elif each.code == "spring_suspected":
             drive = each.cure.settings.get("drive", "") if each.cure else ""
             for joints in re.findall(r"spring:joints=([\d/]+)", drive):

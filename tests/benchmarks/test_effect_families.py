@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
+import effects
 from asbuilt.excitation.motions.random_motion import random_fourier
-from effects import FAMILIES, MAKES, case, described, drawn_robot, felt, hidden_from_fit
+from effect_score import Row
+from effects import (
+    FAMILIES,
+    MAKES,
+    case,
+    described,
+    drawn_robot,
+    felt,
+    hidden_from_fit,
+    read_rows,
+    rows,
+)
 
 VISIBLE = (
     *("tilt", "spring", "cable", "stribeck", "quadratic", "load_friction", "coupling", "delay"),
@@ -29,6 +43,21 @@ def test_an_effect_is_felt(family: str) -> None:
     assert max(felt(robot, changed, facts, motion) for changed, *_ in draws) > 0.05
     if family in VISIBLE:
         assert max(hidden_from_fit(changed, facts, motion) for changed, *_ in draws) > 0.01
+
+
+def test_a_file_of_rows_is_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def measured(number: int, families: tuple[str, ...]) -> Row:
+        asked.append(number)
+        return Row(number, "scara", errors={"none": 0.01})
+
+    monkeypatch.setattr(effects, "measured", measured)
+    path = tmp_path / "new" / "rows.jsonl"
+    assert [row.robot for row in rows(range(2), (), 1, path)] == [0, 1]
+    assert [row.robot for row in rows(range(4), (), 1, path)] == [0, 1, 2, 3]
+    assert asked == [0, 1, 2, 3]
+    assert sorted(read_rows(path)) == [0, 1, 2, 3]
 
 
 @pytest.mark.study

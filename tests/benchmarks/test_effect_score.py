@@ -93,11 +93,35 @@ def test_a_row_goes_through_json_unchanged() -> None:
     assert read.turns_right() == (True,)
 
 
-def test_effects_of_a_study_are_read_from_objects_and_from_json() -> None:
+def test_effects_of_a_study_are_read_from_objects_and_from_json(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("named_effects.APPLIED", True)
     fields = {"effect": "zero", "joint": "j2", "estimate": 1.5, "std_error": 0.1, "unit": "deg"}
     other = SimpleNamespace(effect="spring", joint="j2")
     each = SimpleNamespace(**fields, alternatives=(other,))
     for effects in ((each,), [fields | {"alternatives": ["spring at j2"]}]):
-        study = SimpleNamespace(effects=effects)
+        study = SimpleNamespace(
+            effects=effects, findings=(), attribution=None, result=SimpleNamespace(joint_names=())
+        )
         (named,) = named_effects(study)  # type: ignore[arg-type]
         assert named == Effect("zero", "j2", 1.5, 0.1, "deg", (("spring", "j2"),))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "base tilt 3.01 +- 0.10 deg (-0.21 about x, +3.00 about y): torque error 4 -> 2 %",
+        "base tilt of -0.21 +- 0.01 deg about x and 3.00 +- 0.02 deg about y relative to",
+    ],
+)
+def test_the_parts_of_a_tilt_are_read_from_its_sentence(
+    text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("named_effects.APPLIED", True)
+    tilt = {"effect": "tilt", "joint": None, "estimate": 3.01, "std_error": 0.1, "text": text}
+    study = SimpleNamespace(
+        effects=[tilt], findings=(), attribution=None, result=SimpleNamespace(joint_names=())
+    )
+    (named,) = named_effects(study)  # type: ignore[arg-type]
+    assert named.estimate == (-0.21, 3.0)
