@@ -52,13 +52,12 @@ def turned(text: str, between: str) -> dict[str, float]:
     return {name: float(value) for value, name in found}
 
 
-@pytest.mark.xfail(
-    reason="calibration/mounting.py counts the turn of gravity, R for R^T", strict=True
-)
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_finding_reads_as_the_world(axis: int) -> None:
-    (finding,) = (each for each in study(axis).findings if each.code == "base_tilt")
-    angles = turned(finding.message, "+-")
+def test_the_effect_reads_as_the_world(axis: int) -> None:
+    (found,) = (each for each in study(axis).effects if each.effect == "tilt")
+    angles = {
+        name: float(value) for value, name in re.findall(r"([-+][\d.]+) about ([xy])", found.text)
+    }
     assert angles[AXES[axis]] == pytest.approx(DEGREES, abs=CLOSE)
     assert angles[AXES[1 - axis]] == pytest.approx(0.0, abs=CLOSE)
 

@@ -48,6 +48,8 @@ class SearchLimits:
     longest: float = 5.0
     fewest_groups: int = 3
     """Groups of different motion below which held-out errors have no usable standard error."""
+    named: float = 0.03
+    """Share of the torque error that effects which no model has must take away to be named."""
     rounds: int = 4
     settled: float = 1e-4
     """Passes for a tilt, and the step [rad] at which it has settled."""
@@ -121,14 +123,14 @@ class _Search:
         """Return the effects, found on a robot with the tilt that they have."""
         tilt, turned = np.zeros(2), self.model
         first: Trial | None = None
-        errors: dict[tuple[str, int | None], tuple[float, float]] = {}
+        of_tilt: dict[tuple[str, int | None], tuple[float, float]] = {}
         for _ in range(LIMITS.rounds):
             selection, path = self._selected(turned)
-            errors |= {k: v for k, v in _errors(selection, path).items() if k not in errors}
             step = next((each for each in path if each.candidate.effect.key == Tilt.key), None)
             if step is None:
                 break
-            first = first or step
+            if first is None:
+                first, of_tilt = step, _errors(selection, path)
             tilt = tilt + step.values
             if np.max(np.abs(tilt)) > LIMITS.farthest:
                 return Effects(self.model, self.drive)
@@ -137,12 +139,14 @@ class _Search:
                 break
         others = [each for each in path if each.candidate.effect.key != Tilt.key]
         taken = [*([replace(first, values=tilt)] if first else []), *others]
+        errors = of_tilt | _errors(selection, others)
         added = [each.candidate for each in others if each.candidate.effect.in_model]
         drive, fitted, undetermined = self._fitted(turned, added)
         found = tuple(
-            self._found(each, selection, errors.get(each.candidate.at, (0.0, 0.0)))
+            self._found(each, selection, errors[each.candidate.at])
             for each in taken
             if each.candidate.at not in undetermined
+            and (each.candidate.effect.in_model or _matters(*errors[each.candidate.at]))
         )
         return Effects(turned, drive, found, fitted)
 
@@ -240,6 +244,11 @@ def _errors(
     taken = [each.candidate for each in path]
     steps = [selection.held_out_error(taken[:k]) for k in range(len(taken) + 1)]
     return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(taken)}
+
+
+def _matters(before: float, after: float) -> bool:
+    """Return whether an effect that stays out of the model is worth naming."""
+    return after < (1.0 - LIMITS.named) * before
 
 
 def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
