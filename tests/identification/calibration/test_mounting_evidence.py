@@ -48,6 +48,5 @@ def test_torques_without_noise_end_in_an_answer():
     samples = [prepare_samples(log, resolve_chain(SignalChain(), log))]
     drive = DriveSet.parse("viscous,coulomb,offset")
     mounting = find_mounting(arm, samples, drive=drive)
-    relief = relief_on_other_motions(mounting, samples, drive=drive)
     assert mounting.is_tilted
-    assert relief is None or relief[0] > 0.0
+    assert relief_on_other_motions(mounting, samples, drive=drive) is None

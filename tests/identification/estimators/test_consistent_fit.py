@@ -218,9 +218,12 @@ def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     information, other = accumulate(model, base, train), accumulate(model, base, held)
     prior = cad_prior(model, base.drive)
-    for estimate in (fit_consistent(information, prior), fit_toward_cad(information, prior)):
+    for estimate, share in (
+        (fit_consistent(information, prior), 1.0),
+        (fit_toward_cad(information, prior), 1.05),
+    ):
         rms = np.sqrt(other.residual_energy(estimate.beta) / other.n_samples)
-        assert np.all(rms < no_worse) or estimate.method == "entropic"
+        np.testing.assert_array_less(rms, share * np.array(no_worse))
         assert np.sqrt(np.mean(rms**2)) < np.sqrt(np.mean(np.square(no_worse)))
         assert estimate.part > 0
 
