@@ -21,8 +21,8 @@ import pytest
 import typer
 
 import asbuilt
+from parsed_source import SOURCE, nodes_of
 
-SOURCE = Path(__file__).resolve().parents[1] / "src" / "asbuilt"
 STAGES = (
     "description",
     "dynamics",
@@ -69,12 +69,6 @@ USED_LATER = (
     "plotly",
 )
 """Packages that are imported once a robot and its recordings have been read."""
-
-
-@cache
-def nodes_of(path: Path) -> list[ast.AST]:
-    """All nodes of a file, which is parsed once for all tests."""
-    return list(ast.walk(ast.parse(path.read_text())))
 
 
 @cache
