@@ -45,6 +45,7 @@ def study(folder: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     return log
 
 
+@pytest.mark.study
 def test_a_rollout_proves_the_servo_arm(
     study: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -70,6 +70,7 @@ def check_same(observer: Observer, other: CompiledObserver, log: Any) -> int:
     return alarms
 
 
+@pytest.mark.study
 def test_observer_of_a_recording_is_that_in_python(watched: WatchedRobot, tmp_path: Path) -> None:
     log = watched.quiet[0]
     assert log.qd is not None

@@ -103,6 +103,7 @@ def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> No
         assert np.all(np.abs(torque) <= 0.8 * MotionBounds.of(model).torque * (1 + 1e-4))
 
 
+@pytest.mark.study
 def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm, alone) -> None:
     model, design = arm
     helped = design_motion(model, alone.options, cores=3, with_bound=False)
