@@ -30,14 +30,14 @@ check: $(VENV)/.installed-check
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# The lowest versions that pyproject.toml allows, with every extra that the code imports in one
-# resolution, in an environment of their own.
+# The lowest versions that pyproject.toml allows, of every extra that tests use in one resolution,
+# in an environment of their own.
 LOWEST := build/lowest
 test-lowest: $(VENV)/.installed-check
 	$(PYTHON) -m venv $(LOWEST)
 	$(LOWEST)/bin/python -m pip install --quiet uv
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
-		--editable '.[sim,bags,hdf5,cad,robots,view,cluster,s3]' 'pytest>=8.2' 'hypothesis>=6.100'
+		--editable '.[test]'
 	$(LOWEST)/bin/python -m pytest -p no:cacheprovider tests/description tests/experiment/logs \
 		tests/identification/estimators tests/identification/bodies tests/robustness tests/cli/test_help.py
 
