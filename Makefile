@@ -30,13 +30,14 @@ check: $(VENV)/.installed-check
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# The lowest versions that pyproject.toml allows, in an environment of their own.
+# The lowest versions that pyproject.toml allows, of every extra that tests use in one resolution,
+# in an environment of their own.
 LOWEST := build/lowest
 test-lowest: $(VENV)/.installed-check
 	$(PYTHON) -m venv $(LOWEST)
 	$(LOWEST)/bin/python -m pip install --quiet uv
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
-		--constraints lowest.txt --editable '.[sim,bags,hdf5,cad]' 'pytest>=8.2' 'hypothesis>=6.100'
+		--editable '.[test]'
 	$(LOWEST)/bin/python -m pytest -p no:cacheprovider tests/description tests/experiment/logs \
 		tests/identification/estimators tests/identification/bodies tests/robustness tests/cli/test_help.py
 
@@ -56,7 +57,8 @@ format: $(VENV)/.installed-check
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# Distributions in dist/, checked by installing the wheel into an empty environment.
+# Distributions in dist/, checked by installing the wheel alone into an empty environment, where
+# the demo then runs without any extra.
 wheel: $(VENV)/.installed-check
 	rm -rf dist build/wheel
 	$(BIN)/python -m build --outdir dist
@@ -64,7 +66,8 @@ wheel: $(VENV)/.installed-check
 	$(BIN)/python -m venv build/wheel
 	build/wheel/bin/python -m pip install --quiet dist/*.whl
 	cd build && wheel/bin/python -c "import asbuilt, importlib.resources as r; assert (r.files(asbuilt) / 'py.typed').is_file(); [getattr(asbuilt, name) for name in asbuilt.__all__]"
-	cd build && wheel/bin/asbuilt robots
+	cd build && wheel/bin/asbuilt demo --out wheel/demo
+	test -s build/wheel/demo/report.html
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "asbuilt needs Python 3.11 or newer, this is " + sys.version.split()[0] + ": make PYTHON=python3.12 ...")'

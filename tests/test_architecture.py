@@ -6,10 +6,12 @@ The command line may import anything.
 from __future__ import annotations
 
 import ast
+import json
 import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
 from importlib.metadata import packages_distributions
@@ -20,8 +22,8 @@ import pytest
 import typer
 
 import asbuilt
+from parsed_source import SOURCE, nodes_of
 
-SOURCE = Path(__file__).resolve().parents[1] / "src" / "asbuilt"
 STAGES = (
     "description",
     "dynamics",
@@ -70,10 +72,11 @@ USED_LATER = (
 """Packages that are imported once a robot and its recordings have been read."""
 
 
+@cache
 def imported_modules(path: Path) -> list[str]:
     """Names below `asbuilt.` that a file imports, anywhere in it."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -94,7 +97,7 @@ def foreign_packages(path: Path) -> set[str]:
     `import_module`.
     """
     names: list[str] = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -218,43 +221,46 @@ def test_start_up_loads_nothing_heavy(statement: str) -> None:
     assert done.stderr.strip() == ""
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        "robots",
-        "show ur10e",
-        "check ur10e LOG",
-        "identify ur10e LOG",
-        "identify ur10e LOG --validate LOG2 --payload LOG3",
-        "gains ur10e LOG --loaded LOG2 --mass 1",
-        "channels ur10e LOG --motor LOG2",
-        "review ur10e LOG",
-        "validate ur10e LOG",
-        "excite LOG",
-        "simulate ur10e --preset unknown",
-        "simulate ur10e --tool heavy",
-        "program LOG LOG2 --format franka",
-    ],
+REFUSED = (
+    ("robots", 0),
+    ("show ur10e", 0),
+    ("check ur10e LOG", 1),
+    ("identify ur10e LOG", 1),
+    ("identify ur10e LOG --validate LOG2 --payload LOG3", 1),
+    ("gains ur10e LOG --loaded LOG2 --mass 1", 1),
+    ("channels ur10e LOG --motor LOG2", 1),
+    ("review ur10e LOG", 1),
+    ("validate ur10e LOG", 1),
+    ("excite LOG", 1),
+    ("simulate ur10e --preset unknown", 2),
+    ("simulate ur10e --tool heavy", 2),
+    ("program LOG LOG2 --format franka", 1),
 )
-def test_bad_input_is_refused_before_anything_heavy_is_loaded(
-    arguments: str, tmp_path: Path
-) -> None:
+"""Commands and their exit status."""
+
+
+def test_bad_input_is_refused_before_anything_heavy_is_loaded(tmp_path: Path) -> None:
+    """All commands run in one process; the first that loads a package is the one that is named."""
     for name in ("LOG", "LOG2", "LOG3"):
         (tmp_path / f"{name}.csv").write_text("t,q_1,tau_1\n0,1,2\n0.1,x,2\n")
-    given = [
-        str(tmp_path / f"{each}.csv") if each.startswith("LOG") else each
-        for each in arguments.split()
-    ]
     code = (
-        "import sys\nfrom asbuilt.cli.app import main\ntry:\n    status = main(sys.argv[1:])\n"
-        "except SystemExit as end:\n    status = end.code\n"
-        f"print(status, *[m for m in {USED_LATER!r} if m in sys.modules])"
+        "import json, sys\nfrom asbuilt.cli.app import main\nfor line in sys.argv[1:]:\n"
+        "    try:\n        status = main(line.split())\n"
+        "    except SystemExit as end:\n        status = end.code\n"
+        f"    loaded = [m for m in {USED_LATER!r} if m in sys.modules]\n"
+        "    print('RESULT', json.dumps([line, status, loaded]))"
     )
+    lines = [re.sub(r"\b(LOG\d?)\b", r"\1.csv", line) for line, _ in REFUSED]
     done = subprocess.run(
-        [sys.executable, "-c", code, *given], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, *lines],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    status = "1" if "LOG" in arguments else "2" if "simulate" in arguments else "0"
-    assert done.stdout.strip().splitlines()[-1] == status, done.stderr
+    found = re.findall(r"^RESULT (.*)$", done.stdout, re.MULTILINE)
+    expected = [[line, end, []] for line, (_, end) in zip(lines, REFUSED, strict=True)]
+    assert [json.loads(each) for each in found] == expected, done.stderr
 
 
 def option_spellings() -> set[str]:
@@ -274,16 +280,15 @@ def option_spellings() -> set[str]:
 
 def texts_of(path: Path) -> list[str]:
     """Texts in a file that are neither docstrings nor spellings (`also`) of an option."""
-    tree = ast.parse(path.read_text())
-    skipped: set[int] = set()
-    for node in ast.walk(tree):
+    nodes, skipped = nodes_of(path), set[int]()
+    for node in nodes:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             skipped.add(id(node.value))
         elif isinstance(node, ast.keyword) and node.arg == "also":
             skipped |= {id(child) for child in ast.walk(node.value)}
     return [
         node.value
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Constant)
         and isinstance(node.value, str)
         and id(node) not in skipped

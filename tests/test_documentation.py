@@ -139,11 +139,19 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 LONG = ("design_motion(", "MeshPart(", "link_masses(")
 """Calls that take minutes or need meshes; they are tested elsewhere."""
+STUDIES = ("fleet_identify(", "write_report(")
+"""Calls that take seconds."""
 
 
 @pytest.mark.parametrize(
     ("page", "block"),
-    [(page, block) for page, block in python_blocks() if not any(call in block for call in LONG)],
+    [
+        pytest.param(
+            *found, marks=[pytest.mark.study] if any(call in found[1] for call in STUDIES) else []
+        )
+        for found in python_blocks()
+        if not any(call in found[1] for call in LONG)
+    ],
 )
 def test_python_blocks_run(
     page: str, block: str, at_hand: dict[str, Any], monkeypatch: pytest.MonkeyPatch

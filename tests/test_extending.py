@@ -68,7 +68,7 @@ def test_term_and_description_format(site: Path, tmp_path: Path) -> None:
     assert json.loads(shown)["robot"] == "heavy"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
     motion = random_fourier(bundled_robot("two-link"), 1, duration=6.0)
     log = simulate_recording(bundled_robot("two-link"), motion, rate=100.0)
@@ -88,7 +88,7 @@ def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
     assert (tmp_path / "gains.txt").read_text().startswith("two-link: 2 joints")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_motions_and_program(site: Path, tmp_path: Path) -> None:
     line = "excite two-link --parametrisation mirrored --harmonics 5 --duration 6 --starts 1"
     (printed,) = call_elsewhere(tmp_path, site, f"{line} --program json --no-report --json")

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
+
+from parsed_source import SOURCE, nodes_of
 
 HOUSE = Path(__file__).resolve().parents[1]
 PAGE = HOUSE / "docs" / "reference" / "findings.md"
@@ -12,11 +15,12 @@ MAKERS = {"Finding", "link_finding"}
 SEVERITIES = {"error", "warning", "info"}
 
 
+@cache
 def findings_in_source() -> dict[str, set[str]]:
     """Return the severities of each code that the source writes out."""
     found: dict[str, set[str]] = {}
-    for path in (HOUSE / "src").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path in SOURCE.rglob("*.py"):
+        for node in nodes_of(path):
             if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
                 continue
             if node.func.id not in MAKERS or not node.args or path.name == "findings.py":

@@ -44,7 +44,7 @@ def shown(expected: list[str], words: list[str]) -> str:
     return ""
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_tutorial_prints_what_it_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -146,8 +146,8 @@ def weighing(pair: tuple[Path, Path]) -> tuple[object, ...]:
     [
         (None, None, False, 1),
         ("gains = [20, 5, 8, 9, 11, 12]", None, False, 1),
-        ("gains = 20", "7,8,9,10,11,12", False, 1),
-        ("gains = 20", None, True, -1),
+        pytest.param("gains = 20", "7,8,9,10,11,12", False, 1, marks=pytest.mark.study),
+        pytest.param("gains = 20", None, True, -1, marks=pytest.mark.study),
         ("sign = [-1, 1, 1, 1, 1, 1]\ngains = 8", None, False, [-1, 1, 1, 1, 1, 1]),
         ("sign = -1\ngains = 8", "-3", True, 1),
     ],

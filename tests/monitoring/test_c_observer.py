@@ -70,6 +70,7 @@ def check_same(observer: Observer, other: CompiledObserver, log: Any) -> int:
     return alarms
 
 
+@pytest.mark.study
 def test_observer_of_a_recording_is_that_in_python(watched: WatchedRobot, tmp_path: Path) -> None:
     log = watched.quiet[0]
     assert log.qd is not None
@@ -151,8 +152,11 @@ def rotors(shares: np.ndarray, armature: np.ndarray, viscous: np.ndarray) -> Any
 
 @pytest.mark.parametrize(
     "model",
-    [bundled_robot("scara"), two_armed(), coupled(bundled_robot("ur10e"))],
-    ids=["sliding joint", "branches", "coupled wrist"],
+    [
+        pytest.param(bundled_robot("scara"), id="sliding joint"),
+        pytest.param(two_armed(), id="branches", marks=pytest.mark.study),
+        pytest.param(coupled(bundled_robot("ur10e")), id="coupled wrist"),
+    ],
 )
 def test_torque_that_another_engine_applies_is_found(model: RobotModel, tmp_path: Path) -> None:
     """MuJoCo moves the robot under constant drive torques and a constant external one."""

@@ -142,6 +142,7 @@ def test_thresholds_come_from_quiet_recordings_or_are_said_not_to(watched: Watch
     assert "thresholds_on_training_data" in {each.code for each in trained.findings}
 
 
+@pytest.mark.study
 def test_higher_rates_give_lower_thresholds(watched: WatchedRobot) -> None:
     rare, often = (
         watch(
@@ -215,7 +216,7 @@ def test_a_robot_at_rest_is_watched(watched: WatchedRobot, noise: float) -> None
     assert np.isfinite(seen.smallest_force)
 
 
-@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("filtered", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_smallest_force_is_seen_within_20_ms_and_smaller_ones_are_not(
     watched: WatchedRobot, filtered: bool
 ) -> None:

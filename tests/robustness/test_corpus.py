@@ -61,7 +61,8 @@ def checked(capsys: pytest.CaptureFixture[str], folder: Path, case: Case) -> Non
 
 GROUPS = (
     *(f"robot {suffix}" for suffix in corpus.ROBOTS),
-    *("deep", "deep sheets", "logs", "csv logs", "sheets", "motions", "options"),
+    *("deep sheets", "csv logs", "motions", "options"),
+    *(pytest.param(group, marks=pytest.mark.study) for group in ("deep", "logs", "sheets")),
 )
 
 
@@ -120,7 +121,14 @@ def test_text_and_options(
     assert not failed, f"{len(failed)} of {len(cases)}: {failed}"
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".mat", ".parquet", ".h5", ".db3"])
+@pytest.mark.parametrize(
+    "suffix",
+    [
+        ".npz",
+        ".h5",
+        *(pytest.param(suffix, marks=pytest.mark.study) for suffix in (".mat", ".parquet", ".db3")),
+    ],
+)
 def test_damaged_binary_logs(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str
 ) -> None:
@@ -132,6 +140,7 @@ def test_damaged_binary_logs(
         checked(capsys, tmp_path, case)
 
 
+@pytest.mark.study
 def test_results_edited_by_hand(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, stored_result: str
 ) -> None:

@@ -43,6 +43,7 @@ def test_output_that_goes_nowhere(where: str) -> None:
 
 
 @LINUX
+@pytest.mark.study
 def test_no_writable_cache(tmp_path: Path) -> None:
     """Numba keeps machine code beside the source or in a folder; here it can in neither."""
     code = (

@@ -12,6 +12,8 @@ from asbuilt.description.load import load_robot
 from asbuilt.writers.tables.tabular import json_text
 from command_line import documented_fields
 
+pytestmark = pytest.mark.study
+
 
 @pytest.fixture(scope="module")
 def story(tmp_path_factory: pytest.TempPathFactory) -> Demo:

@@ -108,7 +108,7 @@ def test_structure_and_singular_values_agree(model: RobotModel, terms: set[str])
     assert_regroups(base, stacked(model, drive, seed=6, samples=7))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @NO_LIMIT
 @given(model=robots(), terms=st.sets(st.sampled_from(TERMS)))
 def test_verdicts_are_those_of_the_row_space(model: RobotModel, terms: set[str]) -> None:

@@ -22,7 +22,7 @@ def integrated(t, command, a, fastest, step=1e-5):
     return times, np.array(path)
 
 
-@pytest.mark.parametrize("fastest", [np.inf, 0.6])
+@pytest.mark.parametrize("fastest", [pytest.param(np.inf, marks=pytest.mark.study), 0.6])
 def test_goal_is_that_of_time_optimal_control(fastest):
     rng = np.random.default_rng(1)
     t = 0.05 * np.arange(30)

@@ -61,7 +61,10 @@ def test_a_design_beats_fifty_random_motions(arm) -> None:
     assert found > best + 0.1 * design.base.n_base
 
 
-@pytest.mark.parametrize("robot", ["two-link", "scara", "ur10e"])
+@pytest.mark.parametrize(
+    "robot",
+    [*(pytest.param(name, marks=pytest.mark.study) for name in ("two-link", "scara")), "ur10e"],
+)
 def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> None:
     model = load_robot(robot)
     options = DesignOptions(duration=8.0, size=4, starts=1, time_limit=20.0)
@@ -103,6 +106,7 @@ def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> No
         assert np.all(np.abs(torque) <= 0.8 * MotionBounds.of(model).torque * (1 + 1e-4))
 
 
+@pytest.mark.study
 def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm, alone) -> None:
     model, design = arm
     helped = design_motion(model, alone.options, cores=3, with_bound=False)
@@ -124,7 +128,14 @@ def test_a_cluster_finds_the_same_motion(arm, alone) -> None:
 
 
 @pytest.mark.parametrize(
-    ("parametrisation", "size"), [("bspline", 9), ("quintic", 6), ("point-to-point", 7)]
+    ("parametrisation", "size"),
+    [
+        ("point-to-point", 7),
+        *(
+            pytest.param(*family, marks=pytest.mark.study)
+            for family in (("bspline", 9), ("quintic", 6))
+        ),
+    ],
 )
 def test_other_families_respect_the_limits_too(parametrisation: str, size: int) -> None:
     model = load_robot("two-link")

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,11 +26,19 @@ def ready(work, size: int = 1) -> Iterator[ProcessPool]:
         yield pool
 
 
-def test_a_pool_does_its_work_and_says_when_it_is_full() -> None:
-    with ready(math.sqrt) as pool:
-        future = pool.submit(9.0)
-        assert not pool.is_free or future.done()
-        assert future.result(timeout=60) == 3.0
+def awaited(file: Path) -> str:
+    """Return the name of a file once it exists."""
+    while not file.exists():
+        time.sleep(0.01)
+    return file.name
+
+
+def test_a_pool_does_its_work_and_says_when_it_is_full(tmp_path: Path) -> None:
+    with ready(awaited) as pool:
+        future = pool.submit(tmp_path / "go")
+        assert not pool.is_free
+        (tmp_path / "go").touch()
+        assert future.result(timeout=60) == "go"
     assert not pool.is_free
 
 

@@ -25,10 +25,10 @@ def standing(model, poses, drive=None):
 @pytest.mark.parametrize(
     ("robot", "drive"),
     [
-        ("kuka-iiwa7-r800", "none"),
         ("ur10e", "none"),
         ("two-link", "offset"),
-        ("franka-panda", "none"),
+        pytest.param("kuka-iiwa7-r800", "none", marks=pytest.mark.study),
+        pytest.param("franka-panda", "none", marks=pytest.mark.study),
     ],
 )
 def test_poses_tell_all_that_gravity_tells_better_than_random_ones(robot: str, drive: str) -> None:
@@ -74,7 +74,7 @@ def test_travel_is_shorter_than_in_random_order() -> None:
     assert length(design.poses) < min(length(design.poses[rng.permutation(16)]) for _ in range(200))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.study)])
 def test_a_robot_that_hardly_carries_itself_finds_its_way(seed: int) -> None:
     """The straight way between two poses may be too heavy where both are not."""
     model = load_robot("ur10e")

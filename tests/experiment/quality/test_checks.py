@@ -437,6 +437,7 @@ def codes(model: RobotModel, recording: Recording) -> set[str]:
     return set(check_recording(model, recording).codes) - {"note"}
 
 
+@pytest.mark.study
 def test_real_recordings(shared: Path) -> None:
     data, models = shared / "data", shared / "models"
     med7 = load_robot(models / "lbrstack_med7.urdf")

@@ -56,7 +56,10 @@ def fitted(errors: list[Array]) -> tuple[Array, Array]:
 def test_repeated_blocks_are_of_like_motion() -> None:
     noise = np.random.default_rng(0)
     information = merged([noise.normal(size=Q.shape) for _ in range(2)])
-    for group in different_motions(information, np.ones(MODEL.n_joints)):
+    groups = different_motions(information, np.ones(MODEL.n_joints))
+    assert len(groups) > 1
+    assert sorted(np.concatenate(groups).tolist()) == list(range(60))
+    for group in groups:
         assert {(b + 30) % 60 for b in group.tolist()} == set(group.tolist())
 
 

@@ -15,7 +15,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.errors import UsageError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
@@ -23,6 +23,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.body_bounds import body_bounds
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -78,6 +79,50 @@ def test_every_estimate_is_real_and_the_prior_helps(trial, robot):
     assert missed["consistent"] < 1.05 * missed["wls"]
     assert missed["entropic"] < missed["wls"]
     assert missed["euclidean"] < missed["wls"]
+
+
+@pytest.mark.parametrize("method", ["consistent", "entropic", "euclidean"])
+def test_errors_are_those_of_the_dense_posterior(trial, method):
+    """`s^2 K H^-1 K^T` in standard parameters, with mass ranges as uniform distributions.
+
+    Kullback-Leibler's metric tr(P^-1 B_a P^-1 B_b), P halfway between CAD and estimate.
+    """
+    case = trial("scara", noise=0.05, seed=8)
+    ranges = (((1, 2), 1.0, 30.0), ((3,), 0.0, np.inf))
+    prior = replace(case.prior, mass_ranges=ranges)
+    estimate = fits(replace(case, prior=prior))[method]
+    K, n = case.base.regrouping, case.model.n_joints
+    R = case.information.stacked(estimate.weights)
+    H = K.T @ R[:-1, :-1].T @ R[:-1, :-1] @ K
+    for i in range(n):
+        own = slice(10 * i, 10 * i + 10)
+        middle = 0.5 * (prior.parameters[own] + estimate.standard[own])
+        inverse = np.linalg.inv(LinkInertia(middle).pseudo_inertia)
+        moves = [inverse @ LinkInertia(unit).pseudo_inertia for unit in np.eye(10)]
+        metric = [[np.trace(one @ other) for one in moves] for other in moves]
+        H[own, own] += estimate.belief * prior.strength[i] * np.array(metric)
+    drives = np.arange(10 * n, len(H))
+    H[drives, drives] += DRIVE_RIDGE / prior.drive_scale**2
+    both = np.isin(np.arange(len(H)), [19, 29]).astype(float)
+    H += np.outer(both, both) * 12.0 / (30.0 - 1.0) ** 2
+    scale = 1.0 / np.sqrt(np.diag(H))
+    inverse = np.outer(scale, scale) * np.linalg.inv(np.outer(scale, scale) * H)
+    error = R @ np.append(-estimate.beta, 1.0)
+    rank = np.linalg.matrix_rank(R[:-1, :-1] / np.linalg.norm(R[:-1, :-1], axis=0), tol=1e-10)
+    unexplained = error @ error / (case.information.n_samples * n - rank)
+    dense = max(unexplained, 1.0) * K @ inverse @ K.T
+    np.testing.assert_allclose(estimate.std_errors, np.sqrt(np.diag(dense)), rtol=1e-6)
+    np.testing.assert_allclose(estimate.covariance, dense, atol=1e-6 * np.diag(dense).max())
+
+
+def test_parameters_that_nothing_determines_are_refused_if_asked(trial):
+    case = trial("scara", noise=0.05, seed=8)
+    still = replace(case.samples, qd=0.0 * case.samples.qd, qdd=0.0 * case.samples.qdd)
+    held = accumulate(case.model, case.base, still)
+    for method in ("consistent", "entropic", "euclidean"):
+        data = EstimationData(case.model, held, undetermined="refuse")
+        with pytest.raises(IdentifiabilityError):
+            methods[method].estimate(data)
 
 
 def test_the_weight_follows_how_far_cad_is_off(trial):
@@ -218,9 +263,12 @@ def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     information, other = accumulate(model, base, train), accumulate(model, base, held)
     prior = cad_prior(model, base.drive)
-    for estimate in (fit_consistent(information, prior), fit_toward_cad(information, prior)):
+    for estimate, share in (
+        (fit_consistent(information, prior), 1.0),
+        (fit_toward_cad(information, prior), 1.05),
+    ):
         rms = np.sqrt(other.residual_energy(estimate.beta) / other.n_samples)
-        assert np.all(rms < no_worse) or estimate.method == "entropic"
+        np.testing.assert_array_less(rms, share * np.array(no_worse))
         assert np.sqrt(np.mean(rms**2)) < np.sqrt(np.mean(np.square(no_worse)))
         assert estimate.part > 0
 

@@ -24,9 +24,10 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
+from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.rows import sample_blocks
+from asbuilt.identification.information.rows import Rows, sample_blocks
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     accumulate,
@@ -253,6 +254,58 @@ def test_residual_energy_and_stack_follow_their_definition(robot):
     total = information.stacked(weights) @ np.append(-beta, 1.0)
     assert total @ total == pytest.approx(weights**2 @ energies, rel=1e-11)
     assert np.allclose(information.torque_sum.sum(axis=0), samples.tau.sum(axis=0))
+
+
+def test_merged_blocks_are_those_of_their_time(robot, monkeypatch):
+    """Neighbours are merged; what is of another recording, or comes before, is not."""
+    monkeypatch.setattr(square_root_information, "MOST_BLOCKS", 6)
+    model, base = robot
+    first, other = recording(model, 600), recording(model, 300, seed=2, source="field")
+    again = recording(model, 300, seed=3)
+    again = replace(again, t=again.t - 50.0)
+    information = accumulate_stream(model, base, (first, other, again), block_seconds=0.5)
+    assert 6 <= information.n_blocks <= 12
+    assert max(block.stop - block.start for block in information.blocks) > 0.9
+    assert information.n_samples == 1200
+    for b, block in enumerate(information.blocks):
+        whole = other if block.source == "field" else again if block.start < 0.0 else first
+        own = np.flatnonzero((whole.t >= block.start - 1e-9) & (whole.t <= block.stop + 1e-9))
+        assert len(own) == block.n_samples
+        assert block.stop - block.start <= 1.2
+        part = recording(
+            model, len(own), **{x: getattr(whole, x)[own] for x in ("t", "q", "qd", "qdd", "tau")}
+        )
+        np.testing.assert_allclose(information.torque_sum[b], part.tau.sum(axis=0), atol=1e-9)
+        only = information.select([b])
+        assert_same_information(only, joint_stacks(model, base, part))
+        np.testing.assert_allclose(only.torque_energy, (part.tau**2).sum(axis=0), rtol=1e-11)
+
+
+def test_columns_beside_have_the_products_of_the_stacked_rows(robot):
+    model, base = robot
+    samples = recording(model, 900, segments=((0, 400), (420, 900)))
+    beside = ColumnsBeside.tilts(model)
+    information = accumulate_stream(model, base, (samples,), block_seconds=1.0, beside=beside)
+    stacks = joint_stacks(model, base, samples)
+    assert_same_information(information, stacks)
+    taken = np.r_[0:400, 420:900]
+    further = np.stack(beside.columns(samples.q[taken]), axis=-1)
+    for k, (support, stack) in enumerate(zip(information.support, stacks, strict=True)):
+        T = further[:, k]
+        rows = np.hstack([stack[:, [*support, -1]], T])
+        np.testing.assert_allclose(beside.products[k], rows.T @ T, rtol=1e-9, atol=1e-9)
+
+
+def test_rows_of_an_estimator_are_summed_and_read_only(robot):
+    model, base = robot
+    samples = recording(model, 400)
+    rows = Rows(model, base, [samples], 1.0)
+    information = reduce_rows(base, model.joint_names, rows.support, rows)
+    assert_same_information(information, joint_stacks(model, base, samples))
+    np.testing.assert_allclose(information.torque_sum.sum(axis=0), samples.tau.sum(axis=0))
+    for array in (information.torque_sum, *information.factors):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
 
 
 @pytest.mark.study

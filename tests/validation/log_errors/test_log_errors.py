@@ -92,11 +92,11 @@ def test_a_right_log_has_no_errors(name: str) -> None:
         ("ur10e", 1.05),
         ("ur10e", 0.5),
         ("ur10e", 2.0),
-        ("franka-panda", 0.5),
-        ("franka-panda", 2.0),
+        pytest.param("franka-panda", 0.5, marks=pytest.mark.study),
+        pytest.param("franka-panda", 2.0, marks=pytest.mark.study),
         ("kuka-iiwa7-r800", 0.9),
-        ("kuka-iiwa7-r800", 10.0),
-        ("ur10e", 2.5),
+        pytest.param("kuka-iiwa7-r800", 10.0, marks=pytest.mark.study),
+        pytest.param("ur10e", 2.5, marks=pytest.mark.study),
     ],
 )
 def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:
@@ -166,12 +166,12 @@ def findings(name: str, recording: Recording) -> dict[str, Finding]:
     [
         ("ur10e", 1, 0.7),
         ("ur10e", 2, 0.5),
-        ("franka-panda", 1, 0.7),
         ("franka-panda", 3, 0.85),
-        ("kuka-iiwa7-r800", 1, 0.7),
-        ("kuka-iiwa7-r800", 3, 0.5),
         ("puma-560", 1, 0.7),
-        ("puma-560", 2, 0.7),
+        pytest.param("franka-panda", 1, 0.7, marks=pytest.mark.study),
+        pytest.param("kuka-iiwa7-r800", 1, 0.7, marks=pytest.mark.study),
+        pytest.param("kuka-iiwa7-r800", 3, 0.5, marks=pytest.mark.study),
+        pytest.param("puma-560", 2, 0.7, marks=pytest.mark.study),
     ],
 )
 def test_a_plateau_of_the_torque_is_named_with_its_level(

@@ -84,6 +84,7 @@ def test_a_window_of_dates_takes_the_logs_in_it(filled: Path, logs: list[Path]) 
         fleet_identify(filled, "R1", since=datetime(2030, 1, 1, tzinfo=UTC))
 
 
+@pytest.mark.study
 def test_the_same_bytes_for_any_number_of_workers_and_any_order(
     filled: Path, logs: list[Path], tmp_path: Path
 ) -> None:

@@ -36,6 +36,7 @@ def filled(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ledger
 
 
+@pytest.mark.study
 def test_a_cluster_writes_the_same_ledger_though_a_worker_is_killed(
     filled: Path, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

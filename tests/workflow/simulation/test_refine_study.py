@@ -49,6 +49,7 @@ def test_refined_study_beats_the_linear_one_on_what_was_held_out(study) -> None:
     assert any("Refined by trajectories" in line for line in found.result.provenance)
 
 
+@pytest.mark.study
 def test_result_simulates_what_was_held_out_of_its_own_recording(study) -> None:
     found, recording = study
     (again,) = roll_out_result(found.result, recording, [0.5])
@@ -56,11 +57,13 @@ def test_result_simulates_what_was_held_out_of_its_own_recording(study) -> None:
     assert again.as_built.rms_all == pytest.approx(found.rollouts[0].as_built.rms_all, rel=1e-9)
 
 
+@pytest.mark.study
 def test_a_rollout_needs_data_that_were_not_fitted(study) -> None:
     with pytest.raises(UsageError, match="not fitted to"):
         identify(servo_arm(), study[1], options=StudyOptions(rollout=(0.5,), holdout=None))
 
 
+@pytest.mark.study
 def test_workers_simulate_what_was_held_out_to_the_same_bits(monkeypatch) -> None:
     model, shared, run = servo_arm(), [], Workers.run
     log = simulate_recording(model, random_fourier(model, rng=1, duration=8.0), rng=1)

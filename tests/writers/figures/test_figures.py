@@ -34,7 +34,9 @@ def drawn(example: Any) -> dict[str, Figure]:
     }
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+@pytest.mark.parametrize(
+    "suffix", ["svg", *(pytest.param(x, marks=pytest.mark.study) for x in ("png", "pdf"))]
+)
 def test_every_figure_saves_in_every_format(example: Any, tmp_path: Path, suffix: str) -> None:
     magic = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix]
     one, two = drawn(example), drawn(example)

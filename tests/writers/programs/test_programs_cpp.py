@@ -240,7 +240,8 @@ def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 @pytest.mark.parametrize(
-    ("form", "robot"), [("fri", "franka-panda"), ("franka", "kuka-iiwa7-r800")]
+    ("form", "robot"),
+    [("fri", "franka-panda"), pytest.param("franka", "kuka-iiwa7-r800", marks=pytest.mark.study)],
 )
 def test_compiles_for_another_robot(form: str, robot: str, tmp_path: Path) -> None:
     compiled(form, robot, tmp_path, syntax_only=True)

@@ -38,7 +38,9 @@ def read_mat(path: Path) -> LogTable:
 
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
-    except (MatReadError, ValueError, OSError, TypeError, NotImplementedError) as error:
+    except (
+        MatReadError, ValueError, OSError, TypeError, NotImplementedError, IndexError
+    ) as error:  # fmt: skip
         raise RecordingError(
             f"{path} is not a recording: it cannot be read as a MATLAB file ({error})",
             file=str(path),
