@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -92,3 +94,20 @@ def test_results_come_in_the_order_of_their_tasks(count: int | None) -> None:
 def test_a_task_whose_process_dies_is_an_error() -> None:
     with open_workers(1) as workers, pytest.raises(AsbuiltError, match="killed"):
         results_in_order(lost, [1, 2, 3], workers)
+
+
+def test_modules_in_the_current_folder_are_not_run(tmp_path: Path) -> None:
+    """Workers are started by `-m`, which searches the current folder first unless it is told."""
+    for name in ("loky", "json", "numpy", "signal"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    code = (
+        "from asbuilt.executor import open_workers\n"
+        "with open_workers(1) as workers:\n"
+        "    print([each.result for each in workers.run(abs, [-1, -2])])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(each for each in sys.path if each)},
+    )  # fmt: skip
+    assert done.stdout == b"[1, 2]\n", done.stderr
+    assert not (tmp_path / "ran").exists()

@@ -17,6 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from asbuilt.errors import AsbuiltError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
+from asbuilt.isolation import SAFE_PATH
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -36,6 +37,7 @@ ATTEMPTS = 2
 CONNECTING = 20.0
 """Seconds until a scheduler that does not answer is given up."""
 ONE_THREAD = {
+    **SAFE_PATH,
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -360,12 +362,21 @@ def _end_with(parent: int) -> None:
 
 @contextmanager
 def interrupts_ignored() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which this process handles."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Start processes that ignore Ctrl-C, which this process handles, and the current folder.
+
+    A pool starts its workers with an environment of their own, and its resource tracker with this.
+    """
+    before = {name: os.environ.get(name) for name in SAFE_PATH}
+    os.environ.update(SAFE_PATH)
+    handles = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if handles else None
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        if handles:
+            signal.signal(signal.SIGINT, handler)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

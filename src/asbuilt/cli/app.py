@@ -24,6 +24,8 @@ from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.findings import Cure
+from asbuilt.isolation import leave_current_folder
+from asbuilt.untrusted import inputs_kept, xacro_trusted
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
@@ -141,7 +143,11 @@ def _command(name: str, entry: Entry) -> Any:
     function = getattr(import_module(f"asbuilt.cli.{entry.module}"), name)
 
     def run(common: Common, call: Callable[[], None]) -> None:
-        with screen_of(common, compiles=entry.compiles):
+        with (
+            screen_of(common, compiles=entry.compiles),
+            xacro_trusted(common.trust_xacro),
+            inputs_kept(),
+        ):
             call()
 
     alone = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -289,4 +295,5 @@ def _say(text: str) -> None:
 
 
 if __name__ == "__main__":
+    leave_current_folder()
     main()

@@ -51,7 +51,7 @@ def print_version(wanted: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """The options of every command."""
+    """The options of every command; `trust_xacro` of those that read a robot."""
 
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print errors and JSON only")] = False
     verbose: Annotated[
@@ -63,6 +63,13 @@ class Common:
             "--version", is_eager=True, callback=print_version, help="print the version and exit"
         ),
     ] = False
+    trust_xacro: Annotated[
+        bool,
+        typer.Option("--trust-xacro", help="let a .xacro file run any Python that it holds"),
+    ] = False
+
+
+_COMMON = {field.name for field in fields(Common)}
 
 
 def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[..., None]:
@@ -81,11 +88,13 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
             parameters += _parameters(groups[name])
         else:
             parameters.append(_keyword(name, _with_short_out(hints[name]), parameter.default))
-    parameters += _parameters(Common)
+    reads_robot = any("ROBOT" in _metavar(hint) for hint in hints.values())
+    parameters += [p for p in _parameters(Common) if p.name != "trust_xacro" or reads_robot]
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        common = _collected(Common, given)
+        common = _collected(Common, {"trust_xacro": False} | given)
+        given = {name: value for name, value in given.items() if name not in _COMMON}
         for name, group in groups.items():
             given[name] = _collected(group, given)
         run(common, functools.partial(command, **given))
@@ -101,6 +110,12 @@ def given_options(group: Any) -> dict[str, bool]:
         option_name(field.name): getattr(group, field.name) != field.default
         for field in _shown(type(group))
     }
+
+
+def _metavar(hint: Any) -> str:
+    """Return what the help calls the value of a parameter."""
+    options = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    return str(getattr(options[0], "metavar", "")) if options else ""
 
 
 def _is_group(hint: Any) -> bool:
