@@ -53,11 +53,15 @@ def writable_folder(folder: Path | None) -> Path | None:
 
 
 def writable_file(file: Path | None) -> Path | None:
-    """Return a file whose folder can be written to or made.
+    """Return a file that can be written or replaced.
 
     Raises `UsageError` before any work is done otherwise.
     """
-    writable_folder(None if file is None else file.parent)
+    from asbuilt.writing import check_replaceable
+
+    if file is not None:
+        writable_folder(file.parent)
+        check_replaceable(file)
     return file
 
 
