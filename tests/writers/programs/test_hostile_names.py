@@ -1,4 +1,4 @@
-"""Names from strangers in every controller program: the code is that of a robot with plain names."""
+"""Names from strangers in every controller program: its code is that of plain names."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ ROBOTS = {"franka": "franka-panda", "sunrise": "kuka-iiwa7-r800", "fri": "kuka-i
           "urscript": "ur10e", "ros2": "ur10e", "csv": "ur10e"}  # fmt: skip
 HOSTILE = [
     '";system("reboot");//', "'; import os; os.abort() #", '"""\nimport os\n"""', "*/ int x; /*",
-    "\n#include </etc/passwd>", "\\", "a\\\n", "??/", "??/\nint x;", "\\u000a evil(); //", "\r\nend\n",
-    "%s%n%x", "{{ 7 * 7 }}", "{% raise %}", "${x}", "$(reboot)`id`", "\x00\x1b[2J\x07", "\u2028x\u2029",
-    "\u202eevil", "*\uff0f int y; \uff0f*", "＂; halt", "名前", "\U0001f916", "x" * 100_000, "--> <x/>",
+    "\n#include </etc/passwd>", "\\", "a\\\n", "??/", "??/\nint x;", "\\u000a evil(); //",
+    "\r\nend\n",
+    "%s%n%x", "{{ 7 * 7 }}", "{% raise %}", "${x}", "$(reboot)`id`", "\x00\x1b[2J\x07",
+    "\u2028x\u2029",
+    "\u202eevil", "*\uff0f int y; \uff0f*", "＂; halt", "名前", "\U0001f916", "x" * 10_000,
+    "--> <x/>",
     "]]> &lt;", "- a: !!python/object/apply:os.abort []", "a: b #", "=cmd|' /C calc'!A0", "\ud800",
     "true", "1e5", "~", "", " ", "\t", "' or 1=1", "-", "/*/", "*//*", "\v\f\x85",
 ]  # fmt: skip

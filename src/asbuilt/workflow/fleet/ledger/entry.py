@@ -23,14 +23,13 @@ import polars as pl
 from asbuilt.arrays import Array
 from asbuilt.errors import AsbuiltError, RecordingError, ResultError
 from asbuilt.experiment.logs.formats.isolated import read_isolated
-from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.workflow.fleet.ledger.identities import folder_of
 from asbuilt.workflow.fleet.ledger.merging import merged_blocks
 from asbuilt.workflow.fleet.ledger.settings import SOFTWARE, TypeSettings
-from asbuilt.workflow.fleet.ledger.store import LARGEST
+from asbuilt.workflow.fleet.ledger.unpacking import unpacked
 
 FORMAT_VERSION = 1
 DIGITS = 16
@@ -263,20 +262,6 @@ def _covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[s
         if np.isfinite(value):
             said.append({"name": name, "value": value})
     return said
-
-
-def unpacked(path: Path) -> LogTable:
-    """Return the table of a Parquet file as one column, the bytes of an Arrow stream.
-
-    Another process calls this (`read_isolated`), since decompression takes what memory it likes.
-    """
-    frame, stream = pl.read_parquet(path), io.BytesIO()
-    if frame.estimated_size() > LARGEST:
-        raise ResultError(f"it unpacks to more than {LARGEST / 1e6:.0f} MB")
-    frame.write_ipc_stream(stream)
-    content = stream.getvalue()
-    padded = content + bytes(-len(content) % 8)
-    return LogTable(source=str(path), columns={"arrow": np.frombuffer(padded)})
 
 
 def _frame_of(content: bytes) -> pl.DataFrame:
