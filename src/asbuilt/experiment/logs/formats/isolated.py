@@ -32,7 +32,7 @@ from asbuilt.untrusted import check_regular, reason
 PROGRAM = "from asbuilt.experiment.logs.formats.isolated import serve; serve({parent})"
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux."""
-MOST_FILES = 100
+MOST_FILES = 500
 """Files that a process reads before another takes its place, lest its memory grow."""
 LARGEST_KEPT = 32e6
 """Size of a file [bytes] beyond which its process is not kept: memory that it took may stay, 240 MB
