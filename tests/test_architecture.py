@@ -40,6 +40,7 @@ LEAVES = (
     "executor",
     "findings",
     "isolation",
+    "ranges",
     "registry",
     "tables",
     "untrusted",

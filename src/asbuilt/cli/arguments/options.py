@@ -13,6 +13,7 @@ import typer
 
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
+from asbuilt.ranges import Range
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from asbuilt.experiment.recording import Recording
     from asbuilt.experiment.signal.signal_chain import SignalChain
     from asbuilt.identification.result.result import IdentificationResult
+
+
+POSITIVE = Range(1e-9, 1e9)
+"""Positive numbers of options: frequencies, durations, masses."""
 
 
 @contextmanager
@@ -125,7 +130,11 @@ Unchecked = Annotated[
 Processes = Annotated[
     int | None,
     typer.Option(
-        "--workers", metavar="N", min=1, help="processes that share the work (default: this one)"
+        "--workers",
+        metavar="N",
+        min=1,
+        max=1024,
+        help="processes that share the work (default: this one)",
     ),
 ]
 Scheduler = Annotated[
@@ -174,7 +183,13 @@ class Filtering:
     ] = None
     decimate: Annotated[
         int | None,
-        typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering"),
+        typer.Option(
+            "--decimate",
+            metavar="N",
+            min=1,
+            max=100_000,
+            help="keep every Nth sample after filtering",
+        ),
     ] = None
     max_gap: Annotated[
         float | None,
@@ -272,7 +287,9 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = (math.nan,)
-    if not all(map(math.isfinite, values)) or len(values) != (count or len(values)):
+    if not all(abs(value) <= POSITIVE.upper for value in values) or len(values) != (
+        count or len(values)
+    ):
         example = ",".join(map(str, range(1, (count or 3) + 1)))
         raise UsageError(
             f"{option} takes {count or 'finite'} numbers separated by commas, got {text!r}; for"
@@ -334,6 +351,6 @@ def positive_number(option: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise UsageError(f"{option} takes a positive number, got {text!r}")
+    if not POSITIVE.holds(value):
+        raise UsageError(f"{option} takes a number {POSITIVE}, got {text[:60]!r}")
     return value

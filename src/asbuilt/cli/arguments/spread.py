@@ -14,6 +14,7 @@ import typer
 
 import asbuilt
 from asbuilt.errors import AsbuiltError, UsageError
+from asbuilt.ranges import Range
 
 SPELLING = {
     "size": "--harmonics",
@@ -69,6 +70,8 @@ class Common:
     ] = False
 
 
+ANY_NUMBER = Range(-1e18, 1e18)
+"""Numbers that any option may have; those of option classes have narrower ranges."""
 _COMMON = {field.name for field in fields(Common)}
 
 
@@ -95,6 +98,9 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
     def called(**given: Any) -> None:
         common = _collected(Common, {"trust_xacro": False} | given)
         given = {name: value for name, value in given.items() if name not in _COMMON}
+        for name, value in given.items():
+            if isinstance(value, int | float) and not ANY_NUMBER.holds(float(value)):
+                raise UsageError(f"{option_name(name)} is {value}; it must be {ANY_NUMBER}")
         for name, group in groups.items():
             given[name] = _collected(group, given)
         run(common, functools.partial(command, **given))
@@ -175,7 +181,14 @@ def _collected(group: type[Any], given: dict[str, Any]) -> Any:
             values |= {field.name: not field.default} if value else {}
         elif value is not None:
             values[field.name] = _parsed(option_name(field.name), value, field.metadata)
-    return group(**values)
+    try:
+        return group(**values)
+    except UsageError as problem:
+        name = problem.fields.get("field", "")
+        if name in values:
+            said = problem.message.replace(name, option_name(name), 1)
+            raise UsageError(said, cure=problem.cure, **problem.fields) from None
+        raise
 
 
 def _parsed(option: str, value: Any, metadata: Mapping[str, Any]) -> Any:
