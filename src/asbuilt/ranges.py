@@ -63,7 +63,7 @@ def out_of_range(name: str, value: Any, allowed: Range) -> UsageError:
     return UsageError(
         f"{name} is {shown}; it must be a number {allowed}",
         field=name,
-        value=value if isinstance(value, int) or math.isfinite(value) else str(value),
+        value=value if abs(value) < 1e300 else shown,
         lower=allowed.lower,
         upper=allowed.upper,
     )

@@ -13,7 +13,7 @@ import typer
 
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
-from asbuilt.ranges import Range
+from asbuilt.ranges import Range, out_of_range
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 POSITIVE = Range(1e-9, 1e9)
 """Positive numbers of options: frequencies, durations, masses."""
+DELAYS = Range(-10.0, 10.0, "s")
+"""Delays of a torque; the search of one looks no further than a part of a second."""
 
 
 @contextmanager
@@ -249,6 +251,9 @@ def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
         raise UsageError(
             f"--delay takes auto, none, or seconds (one number or one per joint), got {text!r}"
         ) from None
+    for value in values:
+        if not DELAYS.holds(value):
+            raise out_of_range("--delay", value, DELAYS)
     return values[0] if len(values) == 1 else values
 
 

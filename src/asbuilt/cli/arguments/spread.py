@@ -14,7 +14,7 @@ import typer
 
 import asbuilt
 from asbuilt.errors import AsbuiltError, UsageError
-from asbuilt.ranges import Range
+from asbuilt.ranges import Range, out_of_range
 
 SPELLING = {
     "size": "--harmonics",
@@ -99,8 +99,8 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
         common = _collected(Common, {"trust_xacro": False} | given)
         given = {name: value for name, value in given.items() if name not in _COMMON}
         for name, value in given.items():
-            if isinstance(value, int | float) and not ANY_NUMBER.holds(float(value)):
-                raise UsageError(f"{option_name(name)} is {value}; it must be {ANY_NUMBER}")
+            if type(value) in (int, float) and not ANY_NUMBER.holds(value):
+                raise out_of_range(option_name(name), value, ANY_NUMBER)
         for name, group in groups.items():
             given[name] = _collected(group, given)
         run(common, functools.partial(command, **given))
