@@ -128,7 +128,7 @@ def attempt(
     assert "Traceback" not in err, what
     assert time.monotonic() - began < SLOWEST, what
     assert len(err) < 4000, what
-    assert status == 0 or err.strip(), what
+    assert status == 0 or (err + out).strip(), what
     return status, err
 
 

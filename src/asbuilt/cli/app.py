@@ -8,6 +8,7 @@ import errno
 import inspect
 import io
 import json
+import math
 import os
 import sys
 import traceback
@@ -252,9 +253,10 @@ def _status(given: list[str]) -> int:
         return 1
     except (KeyboardInterrupt, EOFError, typer.Abort):
         status = INTERRUPTED
-    except MemoryError:
+    except MemoryError as problem:
+        said = f": {problem}" if str(problem) else ""
         return _fail(
-            given, "MemoryError", "there is not enough memory",
+            given, "MemoryError", f"there is not enough memory{said}; {_memory()}",
             "use fewer samples: decimate, or cut the recording", {}, 1,
         )  # fmt: skip
     except Exception as problem:
@@ -271,6 +273,19 @@ def _status(given: list[str]) -> int:
             given, "KeyboardInterrupt", "interrupted; no file is half-written", "", {}, status
         )
     return status if isinstance(status, int) else 0
+
+
+def _memory() -> str:
+    """Return the memory of this machine, or the limit that this process has of it."""
+    most = math.inf
+    with contextlib.suppress(ImportError, ValueError, OSError, AttributeError):
+        most = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        import resource
+
+        for limit in (resource.RLIMIT_AS, resource.RLIMIT_DATA):
+            soft = resource.getrlimit(limit)[0]
+            most = min(most, soft if soft != resource.RLIM_INFINITY else math.inf)
+    return f"this process may have {most / 1e9:.3g} GB"
 
 
 def _fail(
