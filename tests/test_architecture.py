@@ -41,9 +41,12 @@ LEAVES = (
     "errors",
     "executor",
     "findings",
+    "isolation",
+    "ranges",
     "registry",
     "tables",
     "untrusted",
+    "writing",
 )
 FULL = 12
 """Modules that one folder may hold, drive terms excepted."""
@@ -156,7 +159,7 @@ def test_every_package_that_is_imported_is_declared() -> None:
         *project["dependencies"],
         *(
             each
-            for extra in ("sim", "bags", "hdf5", "cad", "view", "cluster", "s3")
+            for extra in ("sim", "bags", "hdf5", "cad", "view", "cluster", "robots", "s3")
             for each in project["optional-dependencies"][extra]
         ),
     ]

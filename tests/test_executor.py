@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import random
 import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -92,3 +100,66 @@ def test_results_come_in_the_order_of_their_tasks(count: int | None) -> None:
 def test_a_task_whose_process_dies_is_an_error() -> None:
     with open_workers(1) as workers, pytest.raises(AsbuiltError, match="killed"):
         results_in_order(lost, [1, 2, 3], workers)
+
+
+def test_modules_in_the_current_folder_are_not_run(tmp_path: Path) -> None:
+    """Workers are started by `-m`, which searches the current folder first unless it is told."""
+    for name in ("loky", "json", "numpy", "signal"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    code = (
+        "from asbuilt.executor import open_workers\n"
+        "with open_workers(1) as workers:\n"
+        "    print([each.result for each in workers.run(abs, [-1, -2])])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(each for each in sys.path if each)},
+    )  # fmt: skip
+    assert done.stdout == b"[1, 2]\n", done.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+def said_by(kind: str, connection: socket.socket) -> None:
+    """Answer as something that is no scheduler does."""
+    with contextlib.suppress(OSError):
+        if kind == "http":
+            connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+        elif kind == "huge":
+            connection.sendall(struct.pack("<QQ", 1, 2**62) + bytes(100))
+        elif kind == "random":
+            connection.sendall(random.Random(1).randbytes(4096))
+        elif kind == "traceback":
+            connection.sendall(struct.pack("<QQ", 16, 1) + b"\x80\x04K\x01." * 9)
+        if kind in ("http", "closed"):
+            connection.close()
+
+
+@pytest.mark.parametrize("kind", ["http", "closed", "huge", "random", "traceback",
+    pytest.param("silent", marks=pytest.mark.study)])  # fmt: skip
+def test_what_is_no_scheduler_is_one_error(kind: str, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed")
+    kept = []
+
+    def serve() -> None:
+        while True:
+            kept.append(server.accept()[0])
+            said_by(kind, kept[-1])
+
+    began = time.monotonic()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with (
+            pytest.raises(UsageError, match="no Dask scheduler answers at tcp"),
+            open_workers(scheduler=address),
+        ):
+            pass
+    assert time.monotonic() - began < 20.0
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("address", ["", "here", "inproc://", "tcp://x", "file:1/2", "a" * 10**5])
+def test_what_is_no_address_is_refused_unasked(address: str) -> None:
+    with pytest.raises(UsageError, match="is no address") as caught, open_workers(None, address):
+        pass
+    assert len(str(caught.value)) < 200

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import re
 import signal
 import threading
 import time
@@ -17,6 +19,8 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from asbuilt.errors import AsbuiltError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
+from asbuilt.isolation import SAFE_PATH
+from asbuilt.untrusted import reason, shown_path
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -33,9 +37,12 @@ some workers wait that long for others."""
 MOST_TOGETHER = 100
 ATTEMPTS = 2
 """Times that a task is run alone after its process died among others."""
-CONNECTING = 20.0
-"""Seconds until a scheduler that does not answer is given up."""
+CONNECTING, GIVEN_UP = 5.0, 8.0
+"""Seconds until a scheduler that does not answer is given up: by Dask, and by us if it is not."""
+ADDRESS = re.compile(r"(?:(?:tcp|tls|ucx|wss?)://)?[\w.:%\[\]-]{1,250}:\d{1,5}")
+"""Addresses that Dask connects to; for others it starts a cluster here, or asks the network."""
 ONE_THREAD = {
+    **SAFE_PATH,
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -322,19 +329,14 @@ def _pool(count: int) -> Any:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Workers]:
+    if not ADDRESS.fullmatch(address):
+        raise UsageError(f"{shown_path(address)!r} is no address such as tcp://10.0.0.1:8786")
     try:
         distributed = import_module("distributed")
     except ImportError:
         raise MissingExtraError("distributed", "cluster", "a Dask scheduler") from None
+    client, threads = _connected(distributed, address)
     try:
-        client = distributed.Client(address, timeout=CONNECTING)
-    except (OSError, ValueError) as problem:
-        raise UsageError(
-            f"no Dask scheduler answers at {address}: {problem}",
-            cure=Cure("start one with `dask scheduler`, and workers with `dask worker ADDRESS`"),
-        ) from None
-    try:
-        threads = sum(client.nthreads().values())
         if not threads:
             raise UsageError(
                 f"the Dask scheduler at {address} has no workers",
@@ -344,6 +346,36 @@ def _cluster(address: str) -> Iterator[Workers]:
         yield Workers(threads, executor, dashboard=client.dashboard_link)
     finally:
         client.close()
+
+
+def _connected(distributed: Any, address: str) -> tuple[Any, int]:
+    """Return the client of a scheduler and the number of its threads.
+
+    Another thread connects, since what is no scheduler may say nothing for ever, or anything; that
+    ends in one `UsageError` too, and in no lines of the client's log.
+    """
+    cure = Cure("start one with `dask scheduler`, and workers with `dask worker ADDRESS`")
+    found: Future[tuple[Any, int]] = Future()
+
+    def connect() -> None:
+        try:
+            client = distributed.Client(address, timeout=CONNECTING)
+            found.set_result((client, sum(client.nthreads().values())))
+        except BaseException as problem:
+            found.set_exception(problem)
+
+    log = logging.getLogger("distributed")
+    before, log.level = log.level, logging.CRITICAL + 1
+    try:
+        threading.Thread(target=connect, daemon=True).start()
+        return found.result(GIVEN_UP)
+    except TimeoutError:
+        why = f"nothing that it says in {GIVEN_UP:.0f} s is of Dask"
+    except (Exception, MemoryError) as problem:
+        why = reason(problem)
+    finally:
+        log.level = before
+    raise UsageError(f"no Dask scheduler answers at {address}: {why}", cure=cure)
 
 
 def end_with_parent(parent: int) -> None:
@@ -360,12 +392,21 @@ def _end_with(parent: int) -> None:
 
 @contextmanager
 def interrupts_ignored() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which this process handles."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Start processes that ignore Ctrl-C, which this process handles, and the current folder.
+
+    A pool starts its workers with an environment of their own, and its resource tracker with this.
+    """
+    before = {name: os.environ.get(name) for name in SAFE_PATH}
+    os.environ.update(SAFE_PATH)
+    handles = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if handles else None
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        if handles:
+            signal.signal(signal.SIGINT, handler)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 import stat
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +23,56 @@ TABLE_LIMIT = 200_000_000
 """Bytes of a table or stored result that is read into memory."""
 DEEPEST = 64
 """Levels of nesting; files of robots, sheets and results have fewer than 10."""
+
+_INPUTS: ContextVar[set[tuple[int, int]] | None] = ContextVar("files that were read", default=None)
+"""Device and number of each file that the running command has read."""
+_TRUSTED: ContextVar[bool] = ContextVar("whether xacro files may run any Python", default=False)
+
+
+@contextmanager
+def xacro_trusted(trusted: bool = True) -> Iterator[None]:
+    """Let xacro files run any Python that their expressions hold, if `trusted`."""
+    token = _TRUSTED.set(trusted or _TRUSTED.get())
+    try:
+        yield
+    finally:
+        _TRUSTED.reset(token)
+
+
+@contextmanager
+def inputs_kept() -> Iterator[None]:
+    """Remember every file that is read, so that none of them is replaced."""
+    token = _INPUTS.set(set())
+    try:
+        yield
+    finally:
+        _INPUTS.reset(token)
+
+
+def note_input(path: Path) -> None:
+    """Remember a file that is read by another way than this module."""
+    with suppress(OSError, ValueError):
+        _note(path.stat())
+
+
+def is_input(path: Path) -> bool:
+    """Return whether a file has been read inside `inputs_kept`, whatever its name."""
+    try:
+        state = path.stat()
+    except (OSError, ValueError):
+        return False
+    return (state.st_dev, state.st_ino) in (_INPUTS.get() or ())
+
+
+def _note(state: os.stat_result) -> None:
+    inputs = _INPUTS.get()
+    if inputs is not None:
+        inputs.add((state.st_dev, state.st_ino))
+
+
+def is_xacro_trusted() -> bool:
+    """Return whether xacro files may run any Python."""
+    return _TRUSTED.get()
 
 
 def check_regular(path: Path, what: str, kind: type[AsbuiltError], limit: float) -> None:
@@ -38,11 +93,11 @@ def check_regular(path: Path, what: str, kind: type[AsbuiltError], limit: float)
         state = path.stat()
     except FileNotFoundError:
         raise kind(
-            f"{what} {_shown(path)} cannot be read: it does not exist", file=str(path)
+            f"{what} {shown_path(path)} cannot be read: it does not exist", file=str(path)
         ) from None
     except (OSError, ValueError) as problem:
         raise kind(
-            f"{what} {_shown(path)} cannot be read: {reason(problem)}", file=str(path)
+            f"{what} {shown_path(path)} cannot be read: {reason(problem)}", file=str(path)
         ) from None
     if not stat.S_ISREG(state.st_mode):
         raise kind(
@@ -59,6 +114,7 @@ def check_regular(path: Path, what: str, kind: type[AsbuiltError], limit: float)
             value=state.st_size,
             upper=limit,
         )
+    _note(state)
 
 
 def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = TEXT_LIMIT) -> bytes:
@@ -119,6 +175,31 @@ def parsed_toml(text: str) -> dict[str, Any]:
     return content
 
 
+def parsed_json(text: str | bytes) -> Any:
+    """Return the content of a JSON text.
+
+    Raises
+    ------
+    ValueError
+        With the reason, also if it is nested deeper than `DEEPEST` or holds a number that is not
+        finite.
+    """
+    try:
+        content = json.loads(text, parse_constant=_finite, parse_float=_finite)
+    except RecursionError:
+        content = None
+    if content is None or depth(content) > DEEPEST:
+        raise ValueError(f"it is empty, or nested deeper than {DEEPEST} levels")
+    return content
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"it holds the number {text[:20]}, which is not finite")
+    return value
+
+
 def depth(content: Any) -> int:
     """Return the levels of nesting of dictionaries and lists.
 
@@ -143,6 +224,7 @@ def reason(problem: BaseException, most: int = 200) -> str:
     return said if len(said) <= most else f"{said[:most]}..."
 
 
-def _shown(path: Path) -> str:
+def shown_path(path: Path | str) -> str:
+    """Return a path for a message, cut if it is very long."""
     text = str(path)
     return text if len(text) < 200 else f"{text[:60]}..."

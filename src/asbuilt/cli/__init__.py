@@ -14,6 +14,9 @@ def run() -> None:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+    from asbuilt.isolation import leave_current_folder
+
+    leave_current_folder()
     from asbuilt.cli.app import main
 
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:

@@ -8,6 +8,7 @@ import errno
 import inspect
 import io
 import json
+import math
 import os
 import sys
 import traceback
@@ -24,6 +25,8 @@ from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.findings import Cure
+from asbuilt.isolation import leave_current_folder
+from asbuilt.untrusted import inputs_kept, xacro_trusted
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
@@ -141,7 +144,11 @@ def _command(name: str, entry: Entry) -> Any:
     function = getattr(import_module(f"asbuilt.cli.{entry.module}"), name)
 
     def run(common: Common, call: Callable[[], None]) -> None:
-        with screen_of(common, compiles=entry.compiles):
+        with (
+            screen_of(common, compiles=entry.compiles),
+            xacro_trusted(common.trust_xacro),
+            inputs_kept(),
+        ):
             call()
 
     alone = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -246,9 +253,10 @@ def _status(given: list[str]) -> int:
         return 1
     except (KeyboardInterrupt, EOFError, typer.Abort):
         status = INTERRUPTED
-    except MemoryError:
+    except MemoryError as problem:
+        said = f": {problem}" if str(problem) else ""
         return _fail(
-            given, "MemoryError", "there is not enough memory",
+            given, "MemoryError", f"there is not enough memory{said}; {_memory()}",
             "use fewer samples: decimate, or cut the recording", {}, 1,
         )  # fmt: skip
     except Exception as problem:
@@ -265,6 +273,19 @@ def _status(given: list[str]) -> int:
             given, "KeyboardInterrupt", "interrupted; no file is half-written", "", {}, status
         )
     return status if isinstance(status, int) else 0
+
+
+def _memory() -> str:
+    """Return the memory of this machine, or the limit that this process has of it."""
+    most = math.inf
+    with contextlib.suppress(ImportError, ValueError, OSError, AttributeError):
+        most = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        import resource
+
+        for limit in (resource.RLIMIT_AS, resource.RLIMIT_DATA):
+            soft = resource.getrlimit(limit)[0]
+            most = min(most, soft if soft != resource.RLIM_INFINITY else math.inf)
+    return f"this process may have {most / 1e9:.3g} GB"
 
 
 def _fail(
@@ -289,4 +310,5 @@ def _say(text: str) -> None:
 
 
 if __name__ == "__main__":
+    leave_current_folder()
     main()

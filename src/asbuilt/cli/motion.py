@@ -53,10 +53,13 @@ def excite(
     ] = None,
     static: Annotated[
         int | None,
-        typer.Option("--static", metavar="K", help="K static poses for gravity, no motion"),
+        typer.Option(
+            "--static", metavar="K", min=1, max=1000, help="K static poses for gravity, no motion"
+        ),
     ] = None,
     rate: Annotated[
-        float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")
+        float,
+        typer.Option("--rate", metavar="HZ", min=0.1, max=1e5, help="rate of the motion file"),
     ] = 1000.0,
     program: Annotated[
         list[str] | None,
@@ -71,7 +74,11 @@ def excite(
     workers: Annotated[
         int | None,
         typer.Option(
-            "--workers", metavar="N", min=1, help="processes that search (default: one a core)"
+            "--workers",
+            metavar="N",
+            min=1,
+            max=1024,
+            help="processes that search (default: one a core)",
         ),
     ] = None,
     scheduler: Annotated[
@@ -217,7 +224,11 @@ def program(
     rate: Annotated[
         float | None,
         typer.Option(
-            "--rate", metavar="HZ", help="rate of points or recording (default: by format)"
+            "--rate",
+            metavar="HZ",
+            min=0.1,
+            max=1e5,
+            help="rate of points or recording (default: by format)",
         ),
     ] = None,
     name: Annotated[

@@ -147,13 +147,21 @@ def simulate(
     rate: Annotated[
         float | None,
         typer.Option(
-            "--rate", metavar="HZ", help="sampling rate of the recording (default: the preset's)"
+            "--rate",
+            metavar="HZ",
+            min=0.1,
+            max=1e5,
+            help="sampling rate of the recording (default: the preset's)",
         ),
     ] = None,
     duration: Annotated[
         float | None,
         typer.Option(
-            "--duration", metavar="S", help="length of the random motion (20) or of --free (3)"
+            "--duration",
+            metavar="S",
+            min=0.01,
+            max=86_400.0,
+            help="length of the random motion (20) or of --free (3)",
         ),
     ] = None,
     seed: Seed = 0,

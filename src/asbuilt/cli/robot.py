@@ -140,7 +140,13 @@ def view(
     ] = "auto",
     port: Annotated[
         int,
-        typer.Option("--port", metavar="N", help="port of the page, or the next free one"),
+        typer.Option(
+            "--port",
+            metavar="N",
+            min=0,
+            max=65_535,
+            help="port of the page, or the next free one",
+        ),
     ] = 8080,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="open the page in a browser")
@@ -261,6 +267,7 @@ def export(
             "--ensemble",
             metavar="N",
             min=1,
+            max=100_000,
             help="N robots drawn from the uncertainty, with their ranges; needs --out",
         ),
     ] = None,

@@ -11,10 +11,12 @@ from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.description.robots.published import published_description
 from asbuilt.errors import DescriptionError
-from asbuilt.untrusted import read_bytes, reason
+from asbuilt.untrusted import read_bytes, reason, xacro_trusted
 
 
-def load_robot(name_or_path: str | os.PathLike[str], *, fixed_base: bool = False) -> RobotModel:
+def load_robot(
+    name_or_path: str | os.PathLike[str], *, fixed_base: bool = False, trust_xacro: bool = False
+) -> RobotModel:
     """Load a bundled robot by name, or a description by path.
 
     Parameters
@@ -25,6 +27,9 @@ def load_robot(name_or_path: str | os.PathLike[str], *, fixed_base: bool = False
         a format that another distribution registers. XML is recognised by content.
     fixed_base
         Whether a free joint is held at its pose, as of a robot hung in the air.
+    trust_xacro
+        Whether a xacro file may run any Python that its expressions hold; else they are evaluated
+        on a list of arithmetic, properties and `math`, and include only files beside it.
 
     Returns
     -------
@@ -41,7 +46,11 @@ def load_robot(name_or_path: str | os.PathLike[str], *, fixed_base: bool = False
     >>> load_robot("two-link").joint_names
     ('joint_1', 'joint_2')
     """
-    text = os.fspath(name_or_path)
+    with xacro_trusted(trust_xacro):
+        return _loaded(os.fspath(name_or_path), fixed_base)
+
+
+def _loaded(text: str, fixed_base: bool) -> RobotModel:
     if text in robot_names():
         return bundled_robot(text)
     path = Path(text)

@@ -20,6 +20,7 @@ from asbuilt.identification.bodies.known_masses import (
 from asbuilt.identification.effects.wanted import EffectsWanted
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
 from asbuilt.identification.estimators.methods import methods
+from asbuilt.ranges import Range
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -41,6 +42,10 @@ def _method(text: str) -> str:
     return methods.find(text).name
 
 
+HORIZONS = Range(1e-4, 3600.0, "s")
+"""Lengths of simulated windows."""
+
+
 def horizons(text: str) -> tuple[float, ...]:
     """Return the lengths of rollouts [s] that a text lists, such as "0.1,0.5,2".
 
@@ -53,9 +58,9 @@ def horizons(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = (0.0,)
-    if not all(0.0 < value < float("inf") for value in values):
+    if not all(HORIZONS.holds(value) for value in values):
         raise UsageError(
-            f"lengths of rollouts are positive numbers of seconds, such as 0.1,0.5,2, got {text!r}",
+            f"lengths of rollouts are numbers {HORIZONS}, such as 0.1,0.5,2, got {text[:80]!r}",
             value=text,
         )
     return tuple(dict.fromkeys(values))

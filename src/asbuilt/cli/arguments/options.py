@@ -13,6 +13,7 @@ import typer
 
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
+from asbuilt.ranges import Range, out_of_range
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
@@ -22,6 +23,12 @@ if TYPE_CHECKING:
     from asbuilt.experiment.recording import Recording
     from asbuilt.experiment.signal.signal_chain import SignalChain
     from asbuilt.identification.result.result import IdentificationResult
+
+
+POSITIVE = Range(1e-9, 1e9)
+"""Positive numbers of options: frequencies, durations, masses."""
+DELAYS = Range(-10.0, 10.0, "s")
+"""Delays of a torque; the search of one looks no further than a part of a second."""
 
 
 @contextmanager
@@ -53,11 +60,15 @@ def writable_folder(folder: Path | None) -> Path | None:
 
 
 def writable_file(file: Path | None) -> Path | None:
-    """Return a file whose folder can be written to or made.
+    """Return a file that can be written or replaced.
 
     Raises `UsageError` before any work is done otherwise.
     """
-    writable_folder(None if file is None else file.parent)
+    from asbuilt.writing import check_replaceable
+
+    if file is not None:
+        writable_folder(file.parent)
+        check_replaceable(file)
     return file
 
 
@@ -121,7 +132,11 @@ Unchecked = Annotated[
 Processes = Annotated[
     int | None,
     typer.Option(
-        "--workers", metavar="N", min=1, help="processes that share the work (default: this one)"
+        "--workers",
+        metavar="N",
+        min=1,
+        max=1024,
+        help="processes that share the work (default: this one)",
     ),
 ]
 Scheduler = Annotated[
@@ -170,7 +185,13 @@ class Filtering:
     ] = None
     decimate: Annotated[
         int | None,
-        typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering"),
+        typer.Option(
+            "--decimate",
+            metavar="N",
+            min=1,
+            max=100_000,
+            help="keep every Nth sample after filtering",
+        ),
     ] = None
     max_gap: Annotated[
         float | None,
@@ -230,6 +251,9 @@ def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
         raise UsageError(
             f"--delay takes auto, none, or seconds (one number or one per joint), got {text!r}"
         ) from None
+    for value in values:
+        if not DELAYS.holds(value):
+            raise out_of_range("--delay", value, DELAYS)
     return values[0] if len(values) == 1 else values
 
 
@@ -268,7 +292,9 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = (math.nan,)
-    if not all(map(math.isfinite, values)) or len(values) != (count or len(values)):
+    if not all(abs(value) <= POSITIVE.upper for value in values) or len(values) != (
+        count or len(values)
+    ):
         example = ",".join(map(str, range(1, (count or 3) + 1)))
         raise UsageError(
             f"{option} takes {count or 'finite'} numbers separated by commas, got {text!r}; for"
@@ -330,6 +356,6 @@ def positive_number(option: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise UsageError(f"{option} takes a positive number, got {text!r}")
+    if not POSITIVE.holds(value):
+        raise UsageError(f"{option} takes a number {POSITIVE}, got {text[:60]!r}")
     return value

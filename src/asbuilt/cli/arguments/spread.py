@@ -14,6 +14,7 @@ import typer
 
 import asbuilt
 from asbuilt.errors import AsbuiltError, UsageError
+from asbuilt.ranges import Range, out_of_range
 
 SPELLING = {
     "size": "--harmonics",
@@ -51,7 +52,7 @@ def print_version(wanted: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """The options of every command."""
+    """The options of every command; `trust_xacro` of those that read a robot."""
 
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print errors and JSON only")] = False
     verbose: Annotated[
@@ -63,6 +64,15 @@ class Common:
             "--version", is_eager=True, callback=print_version, help="print the version and exit"
         ),
     ] = False
+    trust_xacro: Annotated[
+        bool,
+        typer.Option("--trust-xacro", help="let a .xacro file run any Python that it holds"),
+    ] = False
+
+
+ANY_NUMBER = Range(-1e18, 1e18)
+"""Numbers that any option may have; those of option classes have narrower ranges."""
+_COMMON = {field.name for field in fields(Common)}
 
 
 def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[..., None]:
@@ -81,11 +91,16 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
             parameters += _parameters(groups[name])
         else:
             parameters.append(_keyword(name, _with_short_out(hints[name]), parameter.default))
-    parameters += _parameters(Common)
+    reads_robot = any("ROBOT" in _metavar(hint) for hint in hints.values())
+    parameters += [p for p in _parameters(Common) if p.name != "trust_xacro" or reads_robot]
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        common = _collected(Common, given)
+        common = _collected(Common, {"trust_xacro": False} | given)
+        given = {name: value for name, value in given.items() if name not in _COMMON}
+        for name, value in given.items():
+            if type(value) in (int, float) and not ANY_NUMBER.holds(value):
+                raise out_of_range(option_name(name), value, ANY_NUMBER)
         for name, group in groups.items():
             given[name] = _collected(group, given)
         run(common, functools.partial(command, **given))
@@ -101,6 +116,12 @@ def given_options(group: Any) -> dict[str, bool]:
         option_name(field.name): getattr(group, field.name) != field.default
         for field in _shown(type(group))
     }
+
+
+def _metavar(hint: Any) -> str:
+    """Return what the help calls the value of a parameter."""
+    options = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    return str(getattr(options[0], "metavar", "")) if options else ""
 
 
 def _is_group(hint: Any) -> bool:
@@ -160,7 +181,14 @@ def _collected(group: type[Any], given: dict[str, Any]) -> Any:
             values |= {field.name: not field.default} if value else {}
         elif value is not None:
             values[field.name] = _parsed(option_name(field.name), value, field.metadata)
-    return group(**values)
+    try:
+        return group(**values)
+    except UsageError as problem:
+        name = problem.fields.get("field", "")
+        if name in values:
+            said = problem.message.replace(name, option_name(name), 1)
+            raise UsageError(said, cure=problem.cure, **problem.fields) from None
+        raise
 
 
 def _parsed(option: str, value: Any, metadata: Mapping[str, Any]) -> Any:

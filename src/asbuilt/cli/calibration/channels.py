@@ -16,6 +16,7 @@ from asbuilt.cli.arguments.options import (
     Robot,
     Unchecked,
     described_robot,
+    distinct_logs,
     number_list,
     robot_and_recordings,
 )
@@ -72,6 +73,10 @@ def channels(
     as_json: AsJson = False,
 ) -> None:
     """Identify links, link-side friction and motor side from torques on both sides of the gears."""
+    distinct_logs(log)
+    distinct_logs(motor)
+    if motor_sheet is None and motor_gain is None:
+        distinct_logs(log, motor)
     model = described_robot(robot, fixed_base=reading.fixed_base)
     on_links = replace(reading, torque_source=reading.torque_source or "sensor")
     on_motors = replace(

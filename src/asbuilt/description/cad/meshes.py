@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from asbuilt.description.formats.xml import close_match
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link, RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
+from asbuilt.ranges import Range
 
 MATERIALS: Mapping[str, float] = {
     "abs": 1050.0,
@@ -33,6 +33,8 @@ MATERIALS: Mapping[str, float] = {
     "titanium": 4430.0,
 }
 """Usual densities [kg/m^3]; the density of a named alloy is better given as a number."""
+DENSITIES = Range(0.0, 1e5, "kg/m^3", above=True)
+"""Densities, from those of foams to four times that of osmium."""
 
 PLAUSIBLE_SIZE = (1e-3, 10.0)
 """Length of a part [m] below and above which its unit is doubtful."""
@@ -63,7 +65,7 @@ class MeshPart:
 def density_of(material: str | float, place: str) -> float:
     """Return the density [kg/m^3] of a material of `MATERIALS`, or the number itself.
 
-    Raises `DescriptionError` for an unknown material and a density that is not positive.
+    Raises `DescriptionError` for an unknown material and a density that no matter has.
 
     >>> density_of("aluminium", "link_1")
     2700.0
@@ -76,8 +78,10 @@ def density_of(material: str | float, place: str) -> float:
                 f" {known}"
             )
         return MATERIALS[material]
-    if not (math.isfinite(material) and material > 0.0):
-        raise DescriptionError(f"{place}: the density is {material} kg/m^3; it must be positive")
+    if not DENSITIES.holds(material):
+        raise DescriptionError(
+            f"{place}: the density is {material} kg/m^3; it must be a number {DENSITIES}"
+        )
     return float(material)
 
 

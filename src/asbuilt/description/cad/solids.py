@@ -12,7 +12,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.cad.meshes import MeshSolid, read_mesh
-from asbuilt.description.formats.xml import described_text, numbers, parsed_xml
+from asbuilt.description.formats.xml import described_text, extents, numbers, parsed_xml
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
@@ -142,15 +142,15 @@ def _origin(body: Element, place: str) -> Array:
 def _body(shape: Element, place: str, folders: Sequence[Path]) -> MeshSolid | None:
     """Return a primitive, or the solid of a mesh; None if its file is not there."""
     if shape.tag == "box":
-        x, y, z = numbers(shape, "size", 3, place)
+        x, y, z = extents(shape, "size", 3, place)
         return _primitive(x * y * z, (x, y, z), (y * y + z * z, x * x + z * z, x * x + y * y), 12)
     if shape.tag == "cylinder":
-        (r,), (h,) = numbers(shape, "radius", 1, place), numbers(shape, "length", 1, place)
+        (r,), (h,) = extents(shape, "radius", 1, place), extents(shape, "length", 1, place)
         across = 3.0 * r * r + h * h
         sizes = (2.0 * r, 2.0 * r, h)
         return _primitive(np.pi * r * r * h, sizes, (across, across, 6.0 * r * r), 12)
     if shape.tag == "sphere":
-        (r,) = numbers(shape, "radius", 1, place)
+        (r,) = extents(shape, "radius", 1, place)
         return _primitive(4.0 / 3.0 * np.pi * r**3, (2.0 * r,) * 3, (2.0 * r * r,) * 3, 5)
     if shape.tag != "mesh":
         return None

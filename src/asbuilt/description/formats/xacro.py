@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
-import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,27 +13,25 @@ from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
-from asbuilt.untrusted import read_bytes
+from asbuilt.isolation import isolated_command, isolated_environment
+from asbuilt.untrusted import is_xacro_trusted, read_bytes
 
 LARGEST = 20_000_000
-"""Bytes of a file."""
+"""Bytes of a file, and of the URDF that it becomes."""
 LONGEST = 30.0
 """Seconds that an expansion may take."""
-PROGRAM = """
-import sys
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_DATA, (1_000_000_000,) * 2)
-except (ImportError, ValueError, OSError):
-    pass
-import xacro
-xacro.main()
-"""
-"""Expressions of a xacro file are Python, which may use any amount of memory."""
+PROGRAM = (
+    "from asbuilt.description.formats.expansion.expander import expand;"
+    " expand({path!r}, {largest}, trusted={trusted})"
+)
 
 
 def read_xacro(path: str | Path) -> RobotModel:
     """Expand a xacro file with its default arguments and read the URDF.
+
+    Expressions are arithmetic, comparisons, properties, indices and functions of `math`; includes
+    and `load_yaml` read descriptions in the folder of the file. Inside `xacro_trusted` they may be
+    anything that xacro takes, which is any Python, with the environment of this process.
 
     Raises
     ------
@@ -42,26 +40,33 @@ def read_xacro(path: str | Path) -> RobotModel:
     DescriptionError
         If it cannot be expanded, or the URDF makes no sense.
     """
-    file = Path(path)
+    file, trusted = Path(path), is_xacro_trusted()
     read_bytes(file, "description", DescriptionError, LARGEST)
     if find_spec("xacro") is None:
         raise MissingExtraError("xacro", "robots", f"reading {path}")
+    program = PROGRAM.format(path=str(file.resolve()), largest=LARGEST, trusted=trusted)
     try:
         done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, str(file)],
+            isolated_command(program),
+            stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=LONGEST,
             check=False,
+            env=dict(os.environ) if trusted else isolated_environment({}),
         )
     except subprocess.TimeoutExpired:
         raise DescriptionError(
             f"{path}: xacro takes longer than {LONGEST:.0f} s to expand it", file=str(path)
         ) from None
     if done.returncode:
-        lines = done.stderr.decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
+        reason = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
         raise DescriptionError(
-            f"{path}: xacro cannot expand it ({lines[0][:300]})",
-            cure=Cure("expand it where its packages are installed, and give the URDF"),
+            f"{path}: xacro cannot expand it ({reason})",
+            cure=Cure(
+                "expand it where its packages are installed, and give the URDF"
+                + ("" if trusted else "; or let it run any Python, if you trust whom it is from"),
+                settings={} if trusted else {"trust_xacro": True},
+            ),
             file=str(path),
         )
     return replace(read_urdf(done.stdout), source=str(path))

@@ -16,12 +16,15 @@ from defusedxml.ElementTree import fromstring
 
 from asbuilt.description.finite import finite_number
 from asbuilt.errors import DescriptionError
+from asbuilt.ranges import Range
 from asbuilt.untrusted import read_bytes
 
 LARGEST_DESCRIPTION = 20_000_000
 """Bytes; a description of a robot without its meshes is hundreds of times smaller."""
 DEEPEST_ELEMENT = 250
 """Levels of nesting; a chain of 100 bodies in MJCF has about 100."""
+SIZES = Range(0.0, 1e4, "m")
+"""Sizes of shapes; some have none in one direction."""
 _TAG_OR_COMMENT = re.compile(rb"<(?:!--|(?:\w+:)?([A-Za-z_][\w.-]*))")
 
 
@@ -134,6 +137,20 @@ def numbers(element: Element, attribute: str, count: int, place: str) -> list[fl
     if len(cells) != count:
         raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
     return [finite_number(cell, what) for cell in cells]
+
+
+def extents(element: Element, attribute: str, count: int, place: str) -> list[float]:
+    """Return `count` sizes of a shape [m], separated by blanks.
+
+    Raises `DescriptionError` with place and value unless each is in `SIZES`.
+    """
+    values = numbers(element, attribute, count, place)
+    for value in values:
+        if not SIZES.holds(value):
+            raise DescriptionError(
+                f"{place}: {attribute} of <{element.tag}> is {value:g}; it must be a number {SIZES}"
+            )
+    return values
 
 
 def close_match(name: str, known: Iterable[str]) -> str:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, Val
 
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import link_solids
-from asbuilt.description.formats.xml import described_text, numbers, parsed_xml
+from asbuilt.description.formats.xml import described_text, extents, numbers, parsed_xml
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
 from asbuilt.errors import DescriptionError, MissingExtraError
@@ -253,19 +253,19 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
     """Return points whose capsule holds the shape, in its own frame."""
     around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     if shape.tag == "box":
-        half = np.array(numbers(shape, "size", 3, place)) / 2
+        half = np.array(extents(shape, "size", 3, place)) / 2
         return np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
     if shape.tag == "cylinder":
         (radius,), (length,) = (
-            numbers(shape, "radius", 1, place),
-            numbers(shape, "length", 1, place),
+            extents(shape, "radius", 1, place),
+            extents(shape, "length", 1, place),
         )
         ring = radius * np.column_stack([np.cos(around), np.sin(around)])
         return np.vstack(
             [np.column_stack([ring, np.full(24, z)]) for z in (-length / 2, length / 2)]
         )
     if shape.tag == "sphere":
-        return numbers(shape, "radius", 1, place)[0] * np.vstack([np.eye(3), -np.eye(3)])
+        return extents(shape, "radius", 1, place)[0] * np.vstack([np.eye(3), -np.eye(3)])
     if shape.tag != "mesh":
         return None
     name = shape.get("filename", "")

@@ -8,13 +8,19 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from asbuilt.errors import UsageError
+from asbuilt.ranges import Range, check_ranges
 
 
 def option(
-    default: Any, metavar: str, help: str, *, parse: Callable[[str], Any] | None = None
+    default: Any,
+    metavar: str,
+    help: str,
+    *,
+    parse: Callable[[str], Any] | None = None,
+    range: Range | None = None,
 ) -> Any:
-    """Return a field with its description, and its parser if text is not enough."""
-    metadata = {"metavar": metavar, "help": help}
+    """Return a field with its description, its range, and its parser if text is not enough."""
+    metadata = {"metavar": metavar, "help": help, "range": range}
     return field(default=default, metadata=metadata | ({"parse": parse} if parse else {}))
 
 
@@ -108,15 +114,26 @@ class DesignOptions:
         None,
         "N",
         "harmonics, control points, way points or poses (default: by duration and limits)",
+        range=Range(2, 200),
     )
     duration: float | Literal["auto"] = option(
-        20.0, "S", "duration, or auto: as short as the precision allows", parse=_duration
+        20.0,
+        "S",
+        "duration, or auto: as short as the precision allows",
+        parse=_duration,
+        range=Range(0.01, LONGEST, "s"),
     )
     precision: float = option(
-        0.002, "SHARE", "with duration auto: torque error per parameter, relative to the torque"
+        0.002,
+        "SHARE",
+        "with duration auto: torque error per parameter, relative to the torque",
+        range=Range(1e-9, 1.0),
     )
     periods: int | None = option(
-        None, "N", "repetitions of a Fourier series within the duration (default: by duration)"
+        None,
+        "N",
+        "repetitions of a Fourier series within the duration (default: by duration)",
+        range=Range(1, 1000),
     )
     drive: str = option("viscous,coulomb,offset", "LIST", "drive terms to identify, or none")
     criterion: str = option("d", "NAME", "d, a, e or condition")
@@ -128,55 +145,47 @@ class DesignOptions:
         "S1,S2,...",
         "standard deviation of the torque, one or one per joint [N m]",
         parse=_noise,
+        range=Range(1e-9, 1e9, "N m"),
     )
-    information_rate: float = 100.0
-    fraction: float = option(0.95, "SHARE", "usable share of the limits of motion")
-    torque_fraction: float = option(0.8, "SHARE", "usable share of the torque limits")
+    information_rate: float = field(default=100.0, metadata={"range": Range(1e-6, 1e6, "1/s")})
+    fraction: float = option(
+        0.95, "SHARE", "usable share of the limits of motion", range=Range(0, 1, above=True)
+    )
+    torque_fraction: float = option(
+        0.8, "SHARE", "usable share of the torque limits", range=Range(0, 1, above=True)
+    )
     power: tuple[float, ...] = option(
-        (), "P1,P2,...", "mechanical power allowed, one or one per joint [W]", parse=_numbers
+        (),
+        "P1,P2,...",
+        "mechanical power allowed, one or one per joint [W]",
+        parse=_numbers,
+        range=Range(0, 1e9, "W", above=True),
     )
-    perturbed: int = option(0, "N", "hold the torque limit for N other robots, masses 10 % off")
-    spread: float = 0.1
+    perturbed: int = option(
+        0, "N", "hold the torque limit for N other robots, masses 10 % off", range=Range(0, 1000)
+    )
+    spread: float = field(default=0.1, metadata={"range": Range(0, 1)})
     collision: str | None = option(
         None,
         "SOURCE",
         "keep bodies apart: skeleton[:RADIUS], a .urdf with geometry, or a .toml file",
     )
     tool_box: tuple[float, ...] = option(
-        (), "X0,X1,Y0,Y1,Z0,Z1", "keep the tool in this box of the root frame [m]", parse=_numbers
+        (),
+        "X0,X1,Y0,Y1,Z0,Z1",
+        "keep the tool in this box of the root frame [m]",
+        parse=_numbers,
+        range=Range(-1e6, 1e6, "m"),
     )
     tool_frame: str | None = option(None, "NAME", "frame that stays in the box (default: the last)")
-    starts: int = option(96, "N", "random starts of local searches")
-    seed: int = option(0, "N", "seed of the random numbers")
-    time_limit: float = option(24.0, "S", "time for the whole design")
+    starts: int = option(96, "N", "random starts of local searches", range=Range(1, 10_000))
+    seed: int = option(0, "N", "seed of the random numbers", range=Range(0, 1e18))
+    time_limit: float = option(
+        24.0, "S", "time for the whole design", range=Range(0, 1e6, "s", above=True)
+    )
 
     def __post_init__(self) -> None:
-        for name in ("duration", "precision", "information_rate", "time_limit"):
-            value = getattr(self, name)
-            if name == "duration" and value == "auto":
-                continue
-            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-                raise UsageError(f"{name} must be a positive number, got {value!r}")
-        for name in ("fraction", "torque_fraction"):
-            if not 0 < getattr(self, name) <= 1:
-                raise UsageError(
-                    f"{name} must lie above 0 and at most at 1, got {getattr(self, name)}"
-                )
-        for name, least in (("starts", 1), ("periods", 1), ("perturbed", 0), ("seed", 0)):
-            count = getattr(self, name)
-            if count is not None and count < least:
-                raise UsageError(f"{name} must be at least {least}, got {count}")
-        if self.duration != "auto" and self.seconds > LONGEST:
-            raise UsageError(f"duration must be at most {LONGEST:g} s, got {self.duration}")
-        for name, most in (("size", 200), ("starts", 10_000), ("periods", 1_000)):
-            count = getattr(self, name)
-            if count is not None and count > most:
-                raise UsageError(f"{name} must be at most {most}, got {count}")
-        if self.size is not None and self.size < 2:
-            raise UsageError(
-                "a design needs at least 2 harmonics or poses, 3 way points or control points;"
-                f" got {self.size}"
-            )
+        check_ranges(self)
 
     @property
     def seconds(self) -> float:

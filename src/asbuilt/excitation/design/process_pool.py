@@ -13,6 +13,7 @@ from loky.process_executor import ProcessPoolExecutor
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.executor import Workers, end_with_parent, interrupts_ignored, open_workers
+from asbuilt.isolation import SAFE_PATH
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -112,7 +113,7 @@ class ProcessPool(Generic[Task, Result]):
                     timeout=None,
                     initializer=_begin,
                     initargs=(work, os.getpid()),
-                    env={"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+                    env={"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"} | SAFE_PATH,
                 )
                 self._ready = self._executor.submit(_is_ready)
         except (OSError, ImportError, RuntimeError, TypeError, PicklingError):

@@ -15,8 +15,9 @@ from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.dynamics.drives.position_servo import LIMITS, PER_JOINT
 from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.experiment.logs.sheet import GAINS, RANGES, RATES, RecordingSheet
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
+from asbuilt.ranges import Range, check_ranges, out_of_range
 
 PathLike = str | Path
 
@@ -95,7 +96,11 @@ class ReadingOptions:
 
     rate: float | None = field(
         default=None,
-        metadata={"help": "sampling rate of a log without time stamps", "metavar": "HZ"},
+        metadata={
+            "help": "sampling rate of a log without time stamps",
+            "metavar": "HZ",
+            "range": RATES,
+        },
     )
     flip_torque: bool = field(
         default=False, metadata={"help": "the log's torque has the opposite sign"}
@@ -106,6 +111,7 @@ class ReadingOptions:
             "help": "torque per logged unit, one for all joints or one each; replaces the sheet's",
             "metavar": "G1,G2,...",
             "parse": _numbers,
+            "range": GAINS,
         },
     )
     torque_source: TorqueSource | None = field(
@@ -140,6 +146,7 @@ class ReadingOptions:
             " robot's",
             "metavar": "X,Y,Z",
             "parse": str,
+            "range": Range(-1e3, 1e3, "m/s^2"),
         },
     )
 
@@ -218,12 +225,6 @@ class ReadingOptions:
     )
 
     def __post_init__(self) -> None:
-        if self.rate is not None and not 0.0 < self.rate < np.inf:
-            raise UsageError(
-                f"the sampling rate must be a positive number of Hz, got {self.rate:g}",
-                value=self.rate,
-                lower=0.0,
-            )
         if self.torque_source not in (None, *TORQUE_SOURCES):
             raise UsageError(
                 f"torque_source {self.torque_source!r} is not one of {', '.join(TORQUE_SOURCES)}",
@@ -234,10 +235,9 @@ class ReadingOptions:
             if getattr(self, name) is not None:
                 values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64)).ravel()
                 unlimited = np.isinf(values) & (name in LIMITS)
-                if np.any(values < 0) or np.any(np.isinf(values) & ~unlimited):
-                    raise UsageError(
-                        f"{name} must be finite and not negative, got {values.tolist()}", lower=0.0
-                    )
+                beyond = ~(unlimited | np.isnan(values) | np.vectorize(RANGES[name].holds)(values))
+                if np.any(beyond):
+                    raise out_of_range(name, float(values[beyond][0]), RANGES[name])
                 object.__setattr__(self, name, tuple(values.tolist()))
         if self.gain is not None:
             gains = np.atleast_1d(np.asarray(self.gain, dtype=np.float64))
@@ -248,6 +248,7 @@ class ReadingOptions:
             object.__setattr__(self, "gravity", gravity_of(self.gravity))
         if isinstance(self.sheet, Mapping):
             object.__setattr__(self, "sheet", RecordingSheet.model_validate(dict(self.sheet)))
+        check_ranges(self)
 
 
 def gravity_of(given: ArrayLike | str) -> tuple[float, float, float]:

@@ -26,6 +26,7 @@ from asbuilt.experiment.logs.role_files import merge_role_files, role_groups
 from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
+from asbuilt.untrusted import note_input
 
 
 def read_recording(
@@ -106,6 +107,7 @@ def check_readable(path: Path) -> None:
             next(path.iterdir(), None)
         elif path.is_file():
             path.open("rb").close()
+            note_input(path)
         elif not path.exists():
             raise RecordingError(f"recording {path} does not exist", file=str(path))
     except OSError as error:

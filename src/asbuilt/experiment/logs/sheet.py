@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from asbuilt.dynamics.drives.position_servo import PER_JOINT
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import unit_scale
 from asbuilt.experiment.recording import TorqueSource
+from asbuilt.ranges import Range
 from asbuilt.untrusted import parsed_toml, read_text, reason
 
 ColumnName = int | str
@@ -57,8 +60,44 @@ GoalNumbers = GoalNumber | list[GoalNumber] | None
 ColumnList = Annotated[list[ColumnName], BeforeValidator(_spread)]
 
 
+RATES = Range(1e-3, 1e6, "Hz")
+"""Sampling rates: a sample in a quarter of an hour, and a thousand in a millisecond."""
+GAINS = Range(-1e9, 1e9)
+ANY = Range(-1e12, 1e12)
+"""Any quantity in any unit, such as the ticks of a counter."""
+RANGES = {"rate": RATES, "gains": GAINS, "time_factor": Range(1e-12, 1e12)} | {
+    name: Range(0.0, 1e9) for name in PER_JOINT
+}
+"""Ranges of numbers, by field."""
+
+
+def _listed(given: Any) -> list[Any]:
+    """Return the numbers of a field."""
+    values = given if isinstance(given, list) else [given]
+    return [each for each in values if isinstance(each, int | float)]
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_as_number(cls, given: Any) -> Any:
+        """Refuse `rate = true`, which would be 1."""
+        for name, value in given.items() if isinstance(given, Mapping) else ():
+            found = any(isinstance(each, bool) for each in _listed(value))
+            if found and name != "header":
+                raise ValueError(f"{name} = {str(value).lower()} is given; a number is expected")
+        return given
+
+    @model_validator(mode="after")
+    def _sensible(self) -> Self:
+        for name in type(self).model_fields:
+            for value in _listed(getattr(self, name)):
+                allowed = RANGES.get(name, ANY)
+                if isinstance(value, float) and math.isfinite(value) and not allowed.holds(value):
+                    raise ValueError(f"{name} is {value:g}; it must be a number {allowed}")
+        return self
 
 
 class SheetColumns(_Part):
@@ -229,12 +268,6 @@ class RecordingSheet(_Part):
         if any(gain == 0 or not math.isfinite(gain) for gain in _listed(self.gains)):
             raise ValueError(f"gains: {self.gains} is given; each must be finite and not zero")
         return self
-
-
-def _listed(given: float | list[float] | str | None) -> list[float]:
-    if given is None or isinstance(given, str):
-        return []
-    return given if isinstance(given, list) else [given]
 
 
 def read_sheet(path: str | Path) -> RecordingSheet:

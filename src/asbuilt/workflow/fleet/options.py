@@ -8,8 +8,11 @@ from typing import Literal
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.estimators.methods import methods
+from asbuilt.ranges import Range, check_ranges
 from asbuilt.workflow.options import StudyOptions
 
+MOST_WORKERS = 1024
+"""Processes of one machine."""
 FALSELY_NAMED = 0.05
 """Usual share of the robots named that may not have changed."""
 
@@ -31,6 +34,7 @@ class FleetOptions:
         metadata={
             "help": "processes that reduce logs (default: one for each core)",
             "metavar": "N",
+            "range": Range(0, MOST_WORKERS),
         },
     )
     scheduler: str | None = field(
@@ -43,6 +47,7 @@ class FleetOptions:
     )
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         if self.workers is not None and self.scheduler is not None:
             raise UsageError(
                 "the workers of a scheduler are not counted here; give workers or a scheduler",
@@ -121,12 +126,9 @@ class FleetDriftOptions:
         metadata={
             "metavar": "SHARE",
             "help": "share of the robots named that may not have changed",
+            "range": Range(1e-12, 0.999),
         },
     )
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.false_discovery_rate < 1.0:
-            raise UsageError(
-                f"a false discovery rate of {self.false_discovery_rate:g} is not between 0 and 1",
-                value=self.false_discovery_rate,
-            )
+        check_ranges(self)

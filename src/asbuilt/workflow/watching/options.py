@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from asbuilt.ranges import Range, check_ranges
+
 Watched = Literal["as_built", "cad"]
 
 
@@ -31,11 +33,16 @@ class WatchOptions:
         metadata={
             "metavar": "RATE",
             "help": "false alarms per hour, all joints together, that thresholds are set for",
+            "range": Range(1e-6, 3600.0, "1/h"),
         },
     )
     bandwidth: float = field(
         default=8.0,
-        metadata={"metavar": "HZ", "help": "bandwidth of the momentum observer"},
+        metadata={
+            "metavar": "HZ",
+            "help": "bandwidth of the momentum observer",
+            "range": Range(1e-3, 1e4, "Hz"),
+        },
     )
     model: Watched = field(
         default="as_built",
@@ -55,3 +62,6 @@ class WatchOptions:
     checked: bool = field(
         default=True, metadata={"help": "use the recordings whatever their checks find"}
     )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from asbuilt.codec import FieldError, json_text, plain, restored
 from asbuilt.errors import ResultError
 from asbuilt.findings import Cure
 from asbuilt.monitoring.thresholds import Thresholds
-from asbuilt.untrusted import read_text
+from asbuilt.untrusted import parsed_json, read_text
 
 FORMAT = "asbuilt thresholds"
 LARGEST = 1_000_000
@@ -34,13 +33,13 @@ def read_thresholds(path: str | os.PathLike[str]) -> Thresholds:
     text = read_text(Path(path), "thresholds", ResultError, LARGEST)
     again = Cure("give the thresholds.json that watch wrote")
     try:
-        whole = json.loads(text)
+        whole = parsed_json(text)
         if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
             raise ResultError(f"{path} holds no thresholds", cure=again, file=str(path))
         found = restored(Thresholds, whole)
     except ResultError:
         raise
-    except (ValueError, TypeError, KeyError, RecursionError, FieldError) as problem:
+    except (ValueError, TypeError, KeyError, FieldError) as problem:
         raise ResultError(
             f"{path}: the thresholds are damaged: {problem}", cure=again, file=str(path)
         ) from None

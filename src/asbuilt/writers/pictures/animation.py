@@ -27,6 +27,8 @@ FRAME_RATE = 12.5
 """Frames of an animation per second [Hz]."""
 MOST_FRAMES = 125
 """Longer motions are shown with fewer frames per second."""
+LONGEST_PAUSE = 655_350
+"""Milliseconds between frames; GIF has 16 bits for hundredths of a second."""
 
 
 def write_picture(
@@ -72,7 +74,7 @@ def write_picture(
     if not moving:
         Pillow.fromarray(images[0]).save(stream, "PNG")
         return atomic_write(path, stream.getvalue())
-    pause = round(1000 * float(view.t[-1]) / (len(view.t) - 1))
+    pause = min(round(1000 * float(view.t[-1]) / (len(view.t) - 1)), LONGEST_PAUSE)
     if suffix == ".gif":
         palette = Pillow.fromarray(np.concatenate(images[:: max(1, len(images) // 8)])).quantize(
             255, dither=Pillow.Dither.NONE

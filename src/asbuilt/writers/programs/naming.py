@@ -33,6 +33,20 @@ def plain_text(text: str) -> str:
     )
 
 
+def yaml_string(text: str) -> str:
+    r"""Return a text as YAML, where JSON's pairs of surrogates would be two characters.
+
+    Examples
+    --------
+    >>> print(yaml_string('a "b" \u540d'))
+    "a \U00000022b\U00000022 \U0000540d"
+    """
+    plain = (
+        each if " " <= each <= "~" and each not in '"\\' else f"\\U{ord(each):08x}" for each in text
+    )
+    return f'"{"".join(plain)}"'
+
+
 def file_stem(name: str, *, default: str = "motion") -> str:
     """Return a file name without suffix of characters a-z, A-Z, digits, `_` and `-`.
 

@@ -26,15 +26,13 @@ import numpy as np
 from asbuilt.errors import AsbuiltError, MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.findings import Cure
+from asbuilt.isolation import isolated_command, isolated_environment
 from asbuilt.untrusted import check_regular, reason
 
-PROGRAM = (
-    "import sys; sys.path[:] = {path!r};"
-    " from asbuilt.experiment.logs.formats.isolated import serve; serve({parent})"
-)
+PROGRAM = "from asbuilt.experiment.logs.formats.isolated import serve; serve({parent})"
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux."""
-MOST_FILES = 100
+MOST_FILES = 500
 """Files that a process reads before another takes its place, lest its memory grow."""
 LARGEST_KEPT = 32e6
 """Size of a file [bytes] beyond which its process is not kept: memory that it took may stay, 240 MB
@@ -117,14 +115,12 @@ class _Reader:
     """A process that reads one file after another."""
 
     def __init__(self) -> None:
-        program = PROGRAM.format(path=[each for each in sys.path if each], parent=os.getpid())
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"}
         self._process = subprocess.Popen(
-            [sys.executable, "-S", "-c", program],
+            isolated_command(PROGRAM.format(parent=os.getpid())),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env=environment,
+            env=isolated_environment({"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"}),
         )
         self._made_by = (os.getpid(), tuple(sys.path))
         self.files = 0

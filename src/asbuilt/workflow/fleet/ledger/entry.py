@@ -13,19 +13,23 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any, Literal
-from urllib.parse import quote, unquote
 
 import numpy as np
 import polars as pl
 
 from asbuilt.arrays import Array
-from asbuilt.errors import AsbuiltError, ResultError
+from asbuilt.errors import AsbuiltError, RecordingError, ResultError
+from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.workflow.fleet.ledger.identities import folder_of
 from asbuilt.workflow.fleet.ledger.merging import merged_blocks
 from asbuilt.workflow.fleet.ledger.settings import SOFTWARE, TypeSettings
+from asbuilt.workflow.fleet.ledger.unpacking import unpacked
 
 FORMAT_VERSION = 1
 DIGITS = 16
@@ -103,16 +107,6 @@ class EntryName:
         except ValueError:
             return None
         return cls(robot_id, date, found["source"], found["settings"], found["content"])
-
-
-def folder_of(robot_id: str) -> str:
-    """Return the folder of a robot's entries."""
-    return "logs/" + quote(robot_id, safe=" ").replace(".", "%2E")
-
-
-def robot_of(folder: str) -> str:
-    """Return the robot of a folder of entries."""
-    return unquote(folder)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +194,7 @@ def entry_from(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
     if content_digest(content) != name.content:
         raise _damaged(name.path, "its content is not what was written")
     try:
-        frame = pl.read_parquet(io.BytesIO(content))
+        frame = _frame_of(content)
         version = frame["format_version"][0]
         if version != FORMAT_VERSION:
             raise ResultError(
@@ -208,7 +202,8 @@ def entry_from(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
                 cure=Cure("use the version of asbuilt that wrote it, or rebuild the ledger"),
                 file=name.path,
             )
-        return _entry(frame, settings)
+        _check_schema(frame)
+        return _entry(frame, name, settings)
     except ResultError:
         raise
     except (pl.exceptions.PolarsError, ValueError, KeyError, TypeError, IndexError) as problem:
@@ -269,8 +264,49 @@ def _covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[s
     return said
 
 
-def _entry(frame: pl.DataFrame, settings: TypeSettings) -> Entry:
+def _frame_of(content: bytes) -> pl.DataFrame:
+    """Return the table of an entry, unpacked by another process with limits."""
+    with NamedTemporaryFile(suffix=".parquet") as file:
+        file.write(content)
+        file.flush()
+        try:
+            table = read_isolated(unpacked, Path(file.name))
+        except RecordingError as problem:
+            raise ValueError(problem.message.replace(file.name, "it")) from None
+    return pl.read_ipc_stream(io.BytesIO(table.columns["arrow"].tobytes()))
+
+
+def _check_schema(frame: pl.DataFrame) -> None:
+    """Raise `ValueError` unless columns have their types, and numbers are there and finite."""
+    for name, kind in SCHEMA.items():
+        if name == "tilt" and name not in frame.columns:
+            continue
+        column = frame[name]
+        if column.dtype != kind:
+            raise ValueError(f"{name} is of type {column.dtype}, not {kind}")
+        if name not in ("tilt", "covariates") and column.has_nulls():
+            raise ValueError(f"{name} has no value in some rows")
+        values = column.explode() if isinstance(kind, pl.List) else column
+        if values.dtype == pl.Struct:
+            values = values.struct.field("value")
+        if values.dtype == pl.Float64 and not values.drop_nulls().is_finite().all():
+            raise ValueError(f"{name} holds a number that is not finite")
+    for name in ("duration", "rate", "n_samples"):
+        if not (frame[name] > 0).all():
+            raise ValueError(f"{name} is not positive in some rows")
+
+
+def _entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings) -> Entry:
     row = frame.row(0, named=True)
+    said = EntryName(
+        row["robot_id"],
+        row["date"].replace(microsecond=0),
+        row["source_sha256"][:DIGITS],
+        row["settings"],
+        name.content,
+    )
+    if said != name:
+        raise ValueError(f"it is the entry {said.path}")
     if row["settings"] != settings.digest:
         raise ValueError(f"it belongs to the settings {row['settings']}")
     source, n = f"{row['log']} ({row['source_sha256'][:DIGITS]})", settings.model.n_joints

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 
 from asbuilt.codec import json_text
-from asbuilt.errors import AsbuiltError, ResultError, UsageError
+from asbuilt.errors import ResultError, UsageError
 from asbuilt.findings import Cure, Finding
+from asbuilt.untrusted import parsed_json
 from asbuilt.workflow.fleet.ledger.entry import (
     Entry,
     EntryName,
     content_digest,
     entry_from,
-    folder_of,
-    robot_of,
 )
+from asbuilt.workflow.fleet.ledger.identities import folder_of, is_folder, robot_of
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 from asbuilt.workflow.fleet.ledger.store import Store, open_store
 
@@ -53,7 +52,11 @@ class Ledger:
 
     def robot_ids(self) -> list[str]:
         """Return the identities of all robots, sorted."""
-        return sorted(robot_of(name) for name in self.store.names("logs"))
+        folders = self.store.names("logs")
+        for name in folders:
+            if not is_folder(name):
+                self._name_foreign(f"logs/{name[:80]}")
+        return sorted(robot_of(name) for name in folders if is_folder(name))
 
     def types(self) -> dict[str, TypeSettings]:
         """Return the settings of each robot type: the first of the latest generation."""
@@ -71,7 +74,7 @@ class Ledger:
                 path = f"types/{folder}/{name}"
                 try:
                     yield TypeSettings.from_content(self.store.read(path), path)
-                except (ResultError, OSError) as problem:
+                except ResultError as problem:
                     self._skip(path, problem)
 
     def settings_of(self, robot_type: str) -> TypeSettings | None:
@@ -140,7 +143,7 @@ class Ledger:
         """Return an entry; None if its file is damaged, which is named in `findings`."""
         try:
             return entry_from(self.store.read(name.path), name, settings)
-        except (ResultError, OSError) as problem:
+        except ResultError as problem:
             self._skip(name.path, problem)
             return None
 
@@ -163,7 +166,7 @@ class Ledger:
         """Return whether the file of an entry has the content that was written."""
         try:
             return content_digest(self.store.read(name.path)) == name.content
-        except OSError:
+        except ResultError:
             return False
 
     def append(self, entry: Entry) -> EntryName:
@@ -174,14 +177,17 @@ class Ledger:
         return name
 
     def append_settings(self, settings: TypeSettings) -> TypeSettings:
-        """Write the settings of a type; return those that are valid, of several writers' ones."""
-        self.store.write(settings.path, settings.content)
-        return self.settings_of(settings.robot_type) or settings
+        """Write the settings of a type; return those of the first of several writers.
 
-    def _skip(self, path: str, problem: Exception) -> None:
-        message = problem.message if isinstance(problem, AsbuiltError) else f"{path}: {problem}"
-        cure = problem.cure if isinstance(problem, AsbuiltError) else None
-        self._say(Finding("ledger_file_damaged", "warning", f"Skipped: {message}", cure))
+        Raises `ResultError` if that one's file is damaged.
+        """
+        if self.store.create(settings.path, settings.content):
+            return settings
+        return TypeSettings.from_content(self.store.read(settings.path), settings.path)
+
+    def _skip(self, path: str, problem: ResultError) -> None:
+        said = problem.message if path in problem.message else f"{path}: {problem.message}"
+        self._say(Finding("ledger_file_damaged", "warning", f"Skipped: {said}", problem.cure))
 
     def _name_foreign(self, path: str) -> None:
         self._say(
@@ -240,9 +246,9 @@ def open_ledger(root: str, *, create: bool = False) -> Ledger:
 
 def _check_mark(root: str, store: Store) -> None:
     try:
-        mark = json.loads(store.read(MARK))
+        mark = parsed_json(store.read(MARK))
         written, version = mark["format"], mark.get("format_version")
-    except (OSError, ValueError, KeyError, TypeError) as problem:
+    except (ValueError, KeyError, TypeError, AttributeError) as problem:
         raise ResultError(
             f"{root} is not a ledger: {MARK} is damaged ({type(problem).__name__})",
             cure=Cure(f"restore {MARK} from that of another ledger of the same version"),

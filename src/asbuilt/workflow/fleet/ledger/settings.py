@@ -21,6 +21,7 @@ from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
+from asbuilt.untrusted import parsed_json
 
 FORMAT = "asbuilt fleet settings"
 FORMAT_VERSION = 1
@@ -82,39 +83,46 @@ class TypeSettings:
     @cached_property
     def content(self) -> bytes:
         """The settings as a JSON document, which `from_content` reads back to the last bit."""
-        return json_text(
-            {
-                "format": FORMAT,
-                "format_version": FORMAT_VERSION,
-                "software": SOFTWARE,
-                "robot_type": self.robot_type,
-                "generation": self.generation,
-                "torque_source": self.torque_source,
-                "drive": list(self.drive.specifications),
-                "chain": plain(self.chain),
-                "parameters": list(self.base.names),
-                "columns": [support.tolist() for support in self.plan.support],
-                "joints": list(self.model.joint_names),
-                "asked_drive": self.asked_drive,
-                "asked_chain": plain(self.asked_chain),
-                "chosen": list(self.chosen),
-                "model": model_document(self.model),
-                "described": model_document(self.described),
-            }
-        ).encode()
+        return json_text(self._document | {"digest": self.digest}).encode()
 
     @cached_property
     def digest(self) -> str:
         """Digest of all that the information depends on."""
-        document = json.loads(self.content)
+        document = self._document
         model = {key: value for key, value in document["model"].items() if key not in DESCRIBED}
         kept = ("robot_type", "generation", "torque_source", "drive", "chain", "parameters")
         return _digest({key: document[key] for key in kept} | {"model": model})
 
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "software": SOFTWARE,
+            "robot_type": self.robot_type,
+            "generation": self.generation,
+            "torque_source": self.torque_source,
+            "drive": list(self.drive.specifications),
+            "chain": plain(self.chain),
+            "parameters": list(self.base.names),
+            "columns": [support.tolist() for support in self.plan.support],
+            "joints": list(self.model.joint_names),
+            "asked_drive": self.asked_drive,
+            "asked_chain": plain(self.asked_chain),
+            "chosen": list(self.chosen),
+            "model": model_document(self.model),
+            "described": model_document(self.described),
+        }
+
     @property
     def path(self) -> str:
         """Where the ledger keeps the settings."""
-        return f"types/{self.robot_type}/{self.generation:04d}-{self.digest}.json"
+        return f"types/{self.robot_type}/{self.generation:04d}.json"
+
+    @property
+    def pending_path(self) -> str:
+        """Where the ledger keeps them until they are valid."""
+        return f"pending/{self.robot_type}-{self.generation:04d}-{self.digest}.json"
 
     @classmethod
     def from_content(cls, content: bytes, path: str) -> TypeSettings:
@@ -131,7 +139,7 @@ class TypeSettings:
 @lru_cache(maxsize=64)
 def _restored(content: bytes, path: str) -> TypeSettings:
     try:
-        document = json.loads(content)
+        document = parsed_json(content)
         version = document["format_version"] if document["format"] == FORMAT else None
         if version != FORMAT_VERSION:
             raise ResultError(
@@ -155,8 +163,10 @@ def _restored(content: bytes, path: str) -> TypeSettings:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, AsbuiltError) as problem:
         raise _damaged(path, str(problem) or type(problem).__name__) from problem
-    if path.rpartition("-")[2] != f"{found.digest}.json":
-        raise _damaged(path, "its content is not what its name says")
+    if found.digest != document.get("digest", path.rpartition("-")[2].removesuffix(".json")):
+        raise _damaged(path, "its content is not what its digest says")
+    if path.startswith("types/") and not path.startswith(f"types/{found.robot_type}/"):
+        raise _damaged(path, f"it belongs to the type {found.robot_type}")
     if list(found.base.names) != document["parameters"]:
         raise ResultError(
             f"{path} has other base parameters than its robot has today",

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
 from asbuilt.errors import MissingExtraError, ResultError, UsageError
-from asbuilt.findings import Cure
+from asbuilt.untrusted import read_bytes, reason, shown_path
+from asbuilt.writing import atomic_write
 
 EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gcs", "gcs": "gcs", "az": "azure", "abfs": "azure"}
 """Extra that has the file system of a protocol."""
-
-
 READABLE = 0o644
 """Mode of a file: what is in a ledger never changes."""
+LARGEST = 50_000_000
+"""Bytes of a file; an entry of 30 joints has 4 MB."""
 
 
 class Store(Protocol):
@@ -29,11 +28,15 @@ class Store(Protocol):
         ...
 
     def read(self, path: str) -> bytes:
-        """Return the content of a file; raises OSError if that is impossible."""
+        """Return the content of a file; raises `ResultError` if that is impossible."""
         ...
 
     def write(self, path: str, content: bytes) -> None:
         """Write a file that appears whole or not at all; raises `UsageError` with the reason."""
+        ...
+
+    def create(self, path: str, content: bytes) -> bool:
+        """Write a file unless it is there, of several writers one; return whether it was."""
         ...
 
 
@@ -62,39 +65,30 @@ class LocalStore:
     def names(self, folder: str) -> list[str]:
         """Return the names in a folder, those of files that are being written left out."""
         place = self._folder / folder
-        if not place.is_dir():
-            if place.exists():
-                raise UsageError(f"{place} is a file; a ledger is a folder or a URL")
+        try:
+            return sorted(path.name for path in place.iterdir() if not path.name.startswith("."))
+        except FileNotFoundError:
             return []
-        return sorted(path.name for path in place.iterdir() if not path.name.startswith("."))
+        except NotADirectoryError:
+            raise UsageError(f"{place} is a file; a ledger is a folder or a URL") from None
+        except (OSError, ValueError) as problem:
+            raise UsageError(f"{shown_path(place)} cannot be read: {reason(problem)}") from None
 
     def read(self, path: str) -> bytes:
         """Return the content of a file."""
-        return (self._folder / path).read_bytes()
+        return read_bytes(self._folder / path, "ledger file", ResultError, LARGEST)
 
     def write(self, path: str, content: bytes) -> None:
-        """Write a file under a temporary name and rename it."""
-        target, temporary = self._folder / path, None
+        """Write a file."""
+        atomic_write(self._folder / path, content, mode=READABLE, own=True)
+
+    def create(self, path: str, content: bytes) -> bool:
+        """Write a file unless it is there; return whether it was written."""
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            descriptor, temporary = tempfile.mkstemp(
-                prefix=f".{target.name[:64]}.", suffix=".part", dir=target.parent
-            )
-            with os.fdopen(descriptor, "wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            Path(temporary).chmod(READABLE)
-            Path(temporary).replace(target)
-        except OSError as problem:
-            raise UsageError(
-                f"cannot write {len(content)} bytes to {target}: {problem.strerror or problem}",
-                cure=Cure("free some space, or choose a folder that you may write to"),
-                file=str(target),
-            ) from problem
-        finally:
-            if temporary is not None:
-                Path(temporary).unlink(missing_ok=True)
+            atomic_write(self._folder / path, content, mode=READABLE, create=True)
+        except FileExistsError:
+            return False
+        return True
 
 
 class RemoteStore:
@@ -110,8 +104,9 @@ class RemoteStore:
         except ImportError as problem:
             package = getattr(problem, "name", None) or "fsspec"
             raise MissingExtraError(package, extra, f"a ledger at {protocol}://") from None
-        except ValueError as problem:
-            raise UsageError(f"the ledger {url} cannot be opened: {problem}") from None
+        except Exception as problem:
+            shown = shown_path(url)
+            raise UsageError(f"the ledger {shown} cannot be opened: {reason(problem)}") from None
 
     def names(self, folder: str) -> list[str]:
         """Return the names in a folder."""
@@ -127,19 +122,37 @@ class RemoteStore:
 
     def read(self, path: str) -> bytes:
         """Return the content of a file."""
-        content: Any = self._files.cat_file(f"{self._folder}/{path}")
+        try:
+            content: Any = self._files.cat_file(f"{self._folder}/{path}", end=LARGEST + 1)
+        except Exception as problem:
+            raise _unreachable(f"{self.root}/{path}", problem) from problem
+        if len(content) > LARGEST:
+            raise ResultError(f"{self.root}/{path} has more than {LARGEST / 1e6:.0f} MB")
         return bytes(content)
 
     def write(self, path: str, content: bytes) -> None:
         """Write a file in one request."""
+        self._write(path, content)
+
+    def create(self, path: str, content: bytes) -> bool:
+        """Write a file in one request that fails if it is there, where the service can."""
         try:
-            self._files.pipe_file(f"{self._folder}/{path}", content)
+            self._write(path, content, mode="create")
+        except FileExistsError:
+            return False
+        return True
+
+    def _write(self, path: str, content: bytes, **how: str) -> None:
+        try:
+            self._files.pipe_file(f"{self._folder}/{path}", content, **how)
+        except FileExistsError:
+            raise
         except Exception as problem:
             raise UsageError(
-                f"cannot write {len(content)} bytes to {self.root}/{path}: {problem}"
+                f"cannot write {len(content)} bytes to {self.root}/{path}: {reason(problem)}"
             ) from problem
 
 
 def _unreachable(root: str, problem: Exception) -> ResultError:
-    reason = f"{type(problem).__name__} {problem}".strip()
-    return ResultError(f"the ledger {root} cannot be reached: {reason}", file=root)
+    why = f"{type(problem).__name__} {reason(problem)}"
+    return ResultError(f"{shown_path(root)} cannot be reached: {why}", file=root)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,8 @@ from asbuilt.executor import Outcome, Workers, open_workers
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import grouped_files
 from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.untrusted import shown_path
+from asbuilt.workflow.fleet.ledger.identities import LONGEST_PATTERN, checked_id, identity_in
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
 from asbuilt.workflow.fleet.options import FleetOptions
@@ -164,17 +165,19 @@ def id_from(pattern: str) -> Callable[[Path], str]:
     """
     if pattern.count("{id}") != 1:
         raise UsageError(
-            f"the pattern {pattern!r} must have one {{id}}, in the place of the robot's identity",
+            f"the pattern {pattern[:80]!r} must have one {{id}}, in the place of the"
+            " robot's identity",
             cure=Cure("write one such as {id}/*.csv"),
         )
-    text = re.escape(pattern).replace(r"\{id\}", "(?P<id>[^/]+?)").replace(r"\*", "[^/]*")
-    compiled = re.compile(rf"(?:^|/){text}$")
+    if len(pattern) > LONGEST_PATTERN:
+        raise UsageError(f"the pattern has {len(pattern)} characters, at most {LONGEST_PATTERN}")
 
     def identity(path: Path) -> str:
-        found = compiled.search(path.as_posix())
+        found = identity_in(pattern, path.as_posix())
         if found is None:
-            raise UsageError(f"{path} does not match the pattern {pattern!r} of identities")
-        return found["id"]
+            shown = shown_path(path)
+            raise UsageError(f"{shown} does not match the pattern {pattern!r} of identities")
+        return found
 
     return identity
 
@@ -274,10 +277,7 @@ def recordings_of(logs: Sequence[str | Path]) -> list[tuple[Path, ...]]:
 
 
 def _identity(robot_id: str | Callable[[Path], str], path: Path) -> str:
-    found = robot_id if isinstance(robot_id, str) else robot_id(path)
-    if not found.strip() or len(found) > 60:
-        raise UsageError(f"the identity of a robot has 1 to 60 characters, got {found!r}")
-    return found
+    return checked_id(robot_id if isinstance(robot_id, str) else robot_id(path))
 
 
 def _settings(
@@ -306,7 +306,10 @@ def _settings(
                 raise RecordingError(outcome.problem or "")
             if isinstance(outcome.result, AsbuiltError):
                 raise outcome.result
-            return ledger.append_settings(outcome.result), True, failed
+            valid = ledger.append_settings(outcome.result)
+            if valid.digest != outcome.result.digest:
+                _check_asked(valid, options)
+            return valid, valid.digest == outcome.result.digest, failed
         except RecordingError as problem:
             failed.append(
                 LogReport(str(files[0]), identity, problem=problem.message, cure=problem.cure)

@@ -80,11 +80,21 @@ def parse_date(text: str) -> datetime:
     """
     try:
         return in_utc(datetime.fromisoformat(text.strip()))
-    except ValueError:
+    except (ValueError, OverflowError):
         raise UsageError(
-            f"{text!r} is not a date; expected one such as 2026-03-01 or 2026-03-01T12:30:00",
+            f"{text[:60]!r} is not a date; expected one such as 2026-03-01 or 2026-03-01T12:30:00",
             value=text,
         ) from None
+
+
+def _trusted(date: datetime) -> datetime:
+    """Return a date of a log; raises `RecordingError` beyond those that a clock can have."""
+    if EARLIEST <= in_utc(date) < LATEST:
+        return date
+    raise RecordingError(
+        f"the log has the date {date.date()}, which is not between {EARLIEST:%Y} and {LATEST:%Y}",
+        cure=Cure("give the date", {"date": "DATE"}),
+    )
 
 
 def in_utc(date: datetime) -> datetime:
@@ -123,9 +133,9 @@ def log_date(
         If nothing says when.
     """
     if given is not None:
-        return given, "given"
+        return _trusted(given), "given"
     if in_sheet is not None:
-        return in_utc(in_sheet), "sheet"
+        return _trusted(in_utc(in_sheet)), "sheet"
     if EARLIEST.timestamp() < recording.started < LATEST.timestamp():
         began = recording.started + float(recording.t[0])
         return datetime.fromtimestamp(round(began, 3), UTC), "stamps"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from asbuilt.errors import UsageError
 from asbuilt.executor import Workers, open_workers
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.findings import Cure
@@ -88,12 +89,11 @@ def rebuild_ledger(
         for robot_type, items in sorted(by_type.items()):
             settings = _renewed(types[robot_type], items, reading, options)
             renewed.append(settings)
-            pending = f"pending/{settings.path.rpartition('/')[2]}"
-            opened.store.write(pending, settings.content)
+            opened.store.write(settings.pending_path, settings.content)
             tasks = (
                 LogTask(
                     ledger=opened.root,
-                    settings_path=pending,
+                    settings_path=settings.pending_path,
                     robot_id=name.robot_id,
                     paths=files,
                     reading=reading,
@@ -103,7 +103,12 @@ def rebuild_ledger(
                 for files, name in items
             )
             reports += run_tasks(workers, tasks, len(items), progress)
-            opened.append_settings(settings)
+            if opened.append_settings(settings).digest != settings.digest:
+                raise UsageError(
+                    f"another program has rebuilt {robot_type} in the meantime; its settings are"
+                    " valid, and those chosen here are not",
+                    cure=Cure("rebuild the ledger again if those will not do"),
+                )
         dashboard = workers.dashboard
     return conclude_addition(
         opened, tuple(renewed), reports, fixed=True, began=began, dashboard=dashboard

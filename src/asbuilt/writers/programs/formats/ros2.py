@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import times_to_end
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
+from asbuilt.writers.programs.naming import yaml_string
 from asbuilt.writers.programs.preamble import commented, preamble
 from asbuilt.writers.programs.rendering import numbers, render
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
@@ -97,7 +96,7 @@ def trajectory_yaml(motion: Motion, joint_names: tuple[str, ...], rate: float) -
     The end of the motion is the last point whatever the rate.
     """
     t = times_to_end(motion, rate)
-    names = ", ".join(json.dumps(name) for name in joint_names)
+    names = ", ".join(map(yaml_string, joint_names))
     lines = [f"joint_names: [{names}]", "points:"]
     for time, q, qd, qdd in zip(t, *motion.at(t), strict=True):
         nanoseconds = round(float(time) * 1e9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
@@ -14,6 +13,7 @@ from asbuilt.writers.models.simulators.simulator_format import (
     ExportedDrives,
     SimulatorFormat,
 )
+from asbuilt.writers.programs.naming import yaml_string
 
 YAML = (".yaml", ".yml")
 
@@ -81,7 +81,7 @@ def _joint(element: Element, joint: Joint, delay: float) -> None:
 
 def _gains(drives: ExportedDrives) -> str:
     """Return the parameters of a PID controller from positions to efforts."""
-    names = json.dumps(list(drives.model.joint_names))
+    names = f"[{', '.join(map(yaml_string, drives.model.joint_names))}]"
     lines = [
         f"# {drives.origin}",
         "pid_controller:",
@@ -93,7 +93,7 @@ def _gains(drives: ExportedDrives) -> str:
     ]
     for joint in drives.plain.joints:
         lines += [
-            f"      {json.dumps(joint.name)}:",
+            f"      {yaml_string(joint.name)}:",
             f"        p: {joint.drive.kp or 0.0!r}",
             "        i: 0.0",
             f"        d: {joint.drive.kd or 0.0!r}",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.writers.files import _OWNER, _remove_leftovers, atomic_write, file_set
+from asbuilt.writing import _OWNER, _remove_leftovers, atomic_write, file_set
 
 MEMBERS = ("result.json", "robot.toml", "robot.urdf")
 

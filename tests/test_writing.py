@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
+import asbuilt.writing as files
 from asbuilt.errors import UsageError
-from asbuilt.writers import files
-from asbuilt.writers.files import atomic_write, check_writable
+from asbuilt.writing import atomic_write, check_writable
 
 
 def test_writes_text_and_bytes_and_makes_folders(tmp_path: Path) -> None:

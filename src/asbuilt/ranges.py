@@ -1,0 +1,68 @@
+"""Ranges of options: stated once in the field of the option class, and checked for all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from asbuilt.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Bound the numbers that a field may hold; NaN is in no range.
+
+    Parameters
+    ----------
+    lower, upper
+        The least and the largest number; `lower` itself is left out if `above`.
+    unit
+        Of both, for messages.
+    """
+
+    lower: float
+    upper: float
+    unit: str = ""
+    above: bool = False
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is a number of the range; True and False are none."""
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return False
+        return self.lower <= value <= self.upper and not (self.above and value == self.lower)
+
+    def __str__(self) -> str:
+        least = "above" if self.above else "from"
+        return f"{least} {self.lower:g} to {self.upper:g} {self.unit}".rstrip()
+
+
+def check_ranges(options: Any) -> None:
+    """Raise `UsageError` unless every field with a `range` in its metadata holds numbers of it.
+
+    None and texts, which stand for a choice, are passed over; of a tuple, every number counts.
+
+    >>> from asbuilt.workflow.watching.options import WatchOptions
+    >>> WatchOptions(bandwidth=math.nan)
+    Traceback (most recent call last):
+    ...
+    asbuilt.errors.UsageError: bandwidth is nan; it must be a number from 0.001 to 10000 Hz
+    """
+    for item in fields(options):
+        allowed, given = item.metadata.get("range"), getattr(options, item.name)
+        if allowed is None or given is None or isinstance(given, str):
+            continue
+        for value in given if isinstance(given, tuple) else (given,):
+            if not allowed.holds(value):
+                raise out_of_range(item.name, value, allowed)
+
+
+def out_of_range(name: str, value: Any, allowed: Range) -> UsageError:
+    """Return the error of a number beyond its range."""
+    shown = f"{value:g}" if isinstance(value, float) else str(value)[:60]
+    return UsageError(
+        f"{name} is {shown}; it must be a number {allowed}",
+        field=name,
+        value=value if abs(value) < 1e300 else shown,
+        lower=allowed.lower,
+        upper=allowed.upper,
+    )
