@@ -13,6 +13,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.command_checks import command_findings
@@ -24,7 +25,7 @@ from asbuilt.experiment.quality.first_pass import (
     credible,
     first_pass,
 )
-from asbuilt.experiment.quality.motion_checks import DEGREE, in_degrees, motion_findings
+from asbuilt.experiment.quality.motion_checks import impossible_motion, motion_findings
 from asbuilt.experiment.quality.position_checks import (
     MEASURED,
     PositionNoise,
@@ -275,14 +276,14 @@ def _findings_in_time(
     segments = UniformSegments.of(known.t, known.valid)
     closer = second_pass(model, chunks, known, () if segments is None else segments.rows)
     motion = None if segments is None else smoothed_motion(segments, closer.segments)
-    degrees = in_degrees(model, known, motion) is not None
+    excess = impossible_motion(model, known, motion)
     revolute = np.array([joint.is_revolute for joint in model.joints])
-    yield from motion_findings(model, known, motion)
+    yield from motion_findings(model, known, motion, excess)
     yield from saturation_findings(model, known, closer)
     yield from spike_findings(model, known)
     yield from filter_findings(closer.torques, known.rate)
-    if motion is not None:
-        scale = np.where(revolute & degrees, DEGREE, 1.0)
+    if motion is not None and (excess is None or excess.unit == "deg"):
+        scale = np.where(revolute & (excess is not None), DEGREE, 1.0)
         yield from torque_findings(model, known, motion, scale)
-    if not degrees:
+    if excess is None:
         yield from excitation_findings(model, known, motion)

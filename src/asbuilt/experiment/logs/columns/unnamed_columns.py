@@ -9,23 +9,19 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.gravity_load import (
+    CLEAR_LOAD,
+    CLEARLY_BETTER,
+    DEGREE,
+    LARGEST_RADIANS,
+    load_matches,
+)
 from asbuilt.experiment.logs.columns.roles import unit_scale
 
-CLEAR_LOAD = 0.5
-"""Correlation with gravity's torque from which a group is taken for torques."""
 NEAR_LOAD = 0.8
 """Share of the best correlation from which groups count alike, in the order of the file: what was
 commanded correlates better than what was measured.
 """
-LARGEST_ANGLE = 400.0
-"""Positions beyond are none, neither in radians nor in degrees."""
-MOST_SAMPLES = 2000
-"""Samples that a guess looks at."""
-DEGREE = np.pi / 180
-LARGEST_RADIANS = 4 * np.pi
-"""Positions beyond are degrees: few axes turn twice either way."""
-CLEARLY_BETTER = 0.1
-"""Correlation with gravity's torque by which positions are rather degrees than radians."""
 DEGREES_PER_RADIAN = 180 / np.pi
 RADIANS_ARE_LESS = DEGREE**0.5
 """Ratio of velocities to the slope of positions in degrees, above which they are degrees too."""
@@ -234,35 +230,10 @@ def _largest(values: Array) -> float:
 
 
 def _load_matches(model: RobotModel, groups: list[Array], scale: float) -> Array:
-    """Return how each group (column) follows gravity's torques at each group (row) as positions.
-
-    Positions times `scale` are radians. The median magnitude of the correlation over the joints
-    that carry much of the load.
-    """
-    from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
-
-    matches = np.zeros((len(groups), len(groups)))
-    step = max(1, groups[0].shape[0] // MOST_SAMPLES)
-    for i, q in enumerate(groups):
-        rows = q[::step]
-        if not np.all(np.isfinite(rows)) or np.abs(rows).max() > LARGEST_ANGLE:
-            continue
-        load = gravity_torque(model, scale * rows)
-        heavy = np.ptp(load, axis=0) > 0.1 * max(float(np.ptp(load, axis=0).max()), 1e-9)
-        for k, tau in enumerate(groups):
-            if k != i:
-                matches[i, k] = _match(load[:, heavy], tau[::step][:, heavy])
+    """Return how each group (column) follows gravity's torques at each group (row) as positions."""
+    matches = np.stack([load_matches(model, q, groups, scale) for q in groups])
+    np.fill_diagonal(matches, 0.0)
     return matches
-
-
-def _match(wanted: Array, found: Array) -> float:
-    """Return the median magnitude of the correlations of columns."""
-    sizes = []
-    for a, b in zip(wanted.T, found.T, strict=True):
-        ok = np.isfinite(a) & np.isfinite(b)
-        if ok.sum() > 10 and np.std(a[ok]) > 0 and np.std(b[ok]) > 0:
-            sizes.append(abs(float(np.corrcoef(a[ok], b[ok])[0, 1])))
-    return float(np.median(sizes)) if sizes else 0.0
 
 
 def _increases(values: Array) -> bool:
