@@ -40,7 +40,7 @@ from asbuilt.experiment.quality.torque.signal_checks import (
     spike_findings,
 )
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, joined, ranked
 
 TOO_LITTLE = ("too_few_samples", "too_short")
@@ -193,7 +193,7 @@ class RecordingCheck:
 def _paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
     """Return the lines of findings of one code: the first message, the other joints by name."""
     first = group[0]
-    names = [finding.joint or "" for finding in group[1:]]
+    names = [finding.joint for finding in group[1:] if finding.joint]
     others = f"; the same holds for {joined(names)}" if names else ""
     cure = None if first.cure is None else Cure(cure_text(first.cure))
     return textwrap.wrap(
@@ -255,7 +255,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += position_findings(model, noise)
         findings += coupling_findings(model, beginning)
     findings += lock_findings(model.locked_joints, model.held_followers)
-    findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
+    findings += map(_of_note, known.notes)
     return RecordingCheck(
         robot=model.name,
         source=recording.source,
@@ -267,6 +267,13 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         position_step=() if noise is None else tuple(noise.step.tolist()),
         position_noise=() if noise is None else tuple(noise.density.tolist()),
     )
+
+
+def _of_note(note: str) -> Finding:
+    """Return what reading the recording did; flips that cancel are seldom meant."""
+    if note == FLIPPED_TWICE:
+        return Finding("flips_cancel", "warning", note, Cure("take both flips out, or keep one if the sign is then wrong"))
+    return Finding("note", "info", note.removesuffix("."))
 
 
 def _findings_in_time(
