@@ -254,7 +254,9 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
         findings += coupling_findings(model, beginning)
-    findings += lock_findings(model.locked_joints, model.held_followers)
+    findings += lock_findings(
+        model.locked_joints, model.held_followers, model.assumed_carriers
+    )
     findings += map(_of_note, known.notes)
     return RecordingCheck(
         robot=model.name,
