@@ -19,6 +19,8 @@ LARGEST_RADIANS = 4 * np.pi
 """Positions beyond are degrees: few axes turn twice either way."""
 MOST_SAMPLES = 2000
 """Samples that a guess looks at."""
+CLEARLY_EXPLAINED = 0.3
+"""Share of the torques' variance that gravity must explain in the right unit alone."""
 HEAVY = 0.1
 """Range of gravity's torque, relative to the largest joint's, from which a joint carries load."""
 DEGREE = np.pi / 180
@@ -31,25 +33,52 @@ def load_matches(model: RobotModel, q: Array, columns: list[Array], scale: float
     The median magnitude of the correlation over the joints that carry much of the load; 0 where the
     positions are none.
     """
-    from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
-
-    step = max(1, q.shape[0] // MOST_SAMPLES)
-    rows = q[::step]
-    if not np.all(np.isfinite(rows)) or np.abs(rows).max() > LARGEST_ANGLE:
+    step, load = _load(model, q, scale)
+    if load is None:
         return np.zeros(len(columns))
-    load = gravity_torque(model, scale * rows)
     heavy = np.ptp(load, axis=0) > HEAVY * max(float(np.ptp(load, axis=0).max()), 1e-9)
     return np.array([_match(load[:, heavy], tau[::step][:, heavy]) for tau in columns])
 
 
 def unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "deg"] | None:
-    """Return the unit of positions (N, n) that torques (N, n) support, None if neither clearly."""
+    """Return the unit of positions (N, n) that torques (N, n) support, None if neither clearly.
+
+    Gravity's torque at the right positions is most of the torque [N m], with either sign; torques
+    in another unit can only correlate with it.
+    """
     if not all(joint.is_revolute for joint in model.joints):
         return None
-    (plain,), (turned,) = (load_matches(model, q, [tau], scale) for scale in (1.0, DEGREE))
-    if max(plain, turned) < CLEAR_LOAD or abs(plain - turned) < CLEARLY_BETTER:
-        return None
-    return "rad" if plain > turned else "deg"
+    shares = [_explained(model, q, tau, scale) for scale in (1.0, DEGREE)]
+    matches = [load_matches(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
+    for (plain, turned), least, apart in (
+        (shares, CLEARLY_EXPLAINED, CLEARLY_EXPLAINED),
+        (matches, CLEAR_LOAD, CLEARLY_BETTER),
+    ):
+        if max(plain, turned) > least and abs(plain - turned) > apart:
+            return "rad" if plain > turned else "deg"
+    return None
+
+
+def _load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]:
+    """Return gravity's torque at every `step`th row, None where the positions are none."""
+    from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
+
+    step = max(1, q.shape[0] // MOST_SAMPLES)
+    rows = q[::step]
+    if not np.all(np.isfinite(rows)) or np.abs(rows).max() > LARGEST_ANGLE:
+        return step, None
+    return step, gravity_torque(model, scale * rows)
+
+
+def _explained(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
+    """Return the share of the torques' variance that gravity's torque explains, at least 0."""
+    step, load = _load(model, q, scale)
+    if load is None:
+        return 0.0
+    x, y = load - load.mean(axis=0), tau[::step] - tau[::step].mean(axis=0)
+    power = float(np.sum(y**2))
+    rest = min(float(np.sum((y - sign * x) ** 2)) for sign in (1.0, -1.0))
+    return max(0.0, 1.0 - rest / power) if power > 0.0 else 0.0
 
 
 def _match(wanted: Array, found: Array) -> float:

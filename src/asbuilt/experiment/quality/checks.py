@@ -254,9 +254,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
         findings += coupling_findings(model, beginning)
-    findings += lock_findings(
-        model.locked_joints, model.held_followers, model.assumed_carriers
-    )
+    findings += lock_findings(model.locked_joints, model.held_followers, model.assumed_carriers)
     findings += map(_of_note, known.notes)
     return RecordingCheck(
         robot=model.name,
@@ -274,7 +272,12 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
 def _of_note(note: str) -> Finding:
     """Return what reading the recording did; flips that cancel are seldom meant."""
     if note == FLIPPED_TWICE:
-        return Finding("flips_cancel", "warning", note, Cure("take both flips out, or keep one if the sign is then wrong"))
+        return Finding(
+            "flips_cancel",
+            "warning",
+            note,
+            Cure("take both flips out, or keep one if the sign is then wrong"),
+        )
     return Finding("note", "info", note.removesuffix("."))
 
 

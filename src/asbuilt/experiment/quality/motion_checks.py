@@ -17,6 +17,7 @@ from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.velocity_checks import velocity_findings
 from asbuilt.findings import Cure, Finding, joined
 
+
 @dataclass(frozen=True, slots=True)
 class DegreeThresholds:
     """Decide whether positions are degrees: as radians they are far outside limits, as degrees not.
@@ -69,6 +70,14 @@ class Excess:
             else f"the rate of {given:.4g} Hz is too high; every limit of velocity is kept up to"
             f" {self.rate:.3g} Hz"
         )
+        if self.unit == "rad" and not slower:
+            return Finding(
+                "position_limit",
+                "error",
+                f"the positions are another robot's, or count from another zero: {self.evidence},"
+                " and the torques follow gravity at these positions in radians",
+                Cure("choose the robot recorded, or write zero = [...] in a recording sheet"),
+            )
         if self.unit == "rad":
             return Finding(
                 "rate_wrong",
@@ -83,8 +92,12 @@ class Excess:
             cure = Cure(f"{convert}; or {right_rate}", settings={"rate": "HZ"})
         elif self.unit is None:
             other, cure = ", or another robot's", Cure(f"choose the robot recorded, or {convert}")
+        kept = "" if slower else ", and as degrees every joint keeps its limits"
         return Finding(
-            "degrees", "error", f"the positions look like degrees{other}: {self.evidence}", cure
+            "degrees",
+            "error",
+            f"the positions look like degrees{other}: {self.evidence}{kept}",
+            cure,
         )
 
 
@@ -105,7 +118,7 @@ def impossible_motion(
     unit: Literal["rad", "deg"] | None = "deg"
     if largest < LARGEST_RADIANS and motion is not None:
         unit = unit_by_gravity(model, motion.q, motion.tau)
-    return None if rate is None and unit == "rad" else Excess(evidence, unit, rate)
+    return Excess(evidence, unit, rate)
 
 
 def _far(model: RobotModel, recording: FirstPass, revolute: Mask) -> tuple[str, float]:
@@ -126,7 +139,7 @@ def _far(model: RobotModel, recording: FirstPass, revolute: Mask) -> tuple[str, 
     k = int(np.argmax(over))
     return (
         f"{_names(model, revolute)[k]} reaches {largest[k]:.4g}, {over[k]:.3g} times its limit of"
-        f" {bounds[k]:.4g} rad, and as degrees every joint keeps its limits"
+        f" {bounds[k]:.4g} rad"
     ), float(np.max(largest))
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.joint_matching import names_gripper
 from asbuilt.experiment.logs.columns.layout import Layout
 from asbuilt.experiment.logs.columns.roles import unit_scale
 from asbuilt.experiment.logs.formats.log_format import LogTable

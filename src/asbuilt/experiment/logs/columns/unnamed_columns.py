@@ -33,11 +33,16 @@ STEPS = {"ns": 2e5, "us": 200.0, "ms": 0.2, "s": -np.inf}
 
 RATES = (5.0, 5000.0)
 """Rates of logs [Hz]: what velocities give beyond is another unit of theirs."""
+FASTEST = 10.0
+"""Velocities beyond are rather degrees per second [rad/s]."""
 CLOCK_STEPS = (0.99, 0.5)
 """Share of the steps of a clock that are forward, and of one that does not lead the columns also
 within this of the median step."""
 
-DRAFT = '[columns]  # an example: the values decide nothing\ntime = 1\nposition = "2-7"\ntorque = "8-13"'
+DRAFT = (
+    "[columns]  # an example: the values decide nothing\n"
+    'time = 1\nposition = "2-7"\ntorque = "8-13"'
+)
 """What a sheet looks like, where nothing of it can be guessed."""
 
 
@@ -104,7 +109,7 @@ def suggest_sheet(
     if degrees:
         units |= dict.fromkeys(["position"] if pair is None else ["position", "command"], "deg")
     if clock is None and rate is None:
-        found = None if velocity is None else _rate(groups[position], groups[velocity])
+        found = None if velocity is None else _rate(groups[position], groups[velocity], degrees)
         t = t / (found or 1.0)
         head.append("rate = 100  # Hz" if found is None else f"rate = {found:g}  # Hz")
     if velocity is not None:
@@ -260,7 +265,7 @@ def _ticks(values: Array) -> bool:
     return middle > 0.0 and float(np.mean(even)) >= CLOCK_STEPS[0]
 
 
-def _rate(q: Array, qd: Array) -> float | None:
+def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
     """Return the rate [Hz] at which the steps of positions are the velocities; None if none can be.
 
     Velocities in degrees per second beside positions in radians count as such.
@@ -268,11 +273,11 @@ def _rate(q: Array, qd: Array) -> float | None:
     steps = np.gradient(q, axis=0)
     ok = np.isfinite(steps) & np.isfinite(qd)
     per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
+    rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
+    if _largest(qd) > FASTEST:
+        rates.reverse()
     low, high = RATES
-    for rate in (per_step, per_step / DEGREES_PER_RADIAN):
-        if low <= rate <= high:
-            return float(f"{rate:.3g}")
-    return None
+    return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
 
 
 def _position_and_velocity(

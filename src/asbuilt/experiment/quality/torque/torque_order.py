@@ -109,9 +109,7 @@ class _NormalEquations:
         logged = self.unexplained(tuple(range(len(torque_of)))) + THRESHOLDS.floor
         shares = self.unexplained(torque_of) + THRESHOLDS.floor
         moved = [(k, j) for k, j in enumerate(torque_of) if k != j]
-        if any(
-            self.power[j] == 0.0 or shares[k] > THRESHOLDS.each * logged[j] for k, j in moved
-        ):
+        if any(self.power[j] == 0.0 or shares[k] > THRESHOLDS.each * logged[j] for k, j in moved):
             return np.inf
         return float(np.sum(np.log(shares)))
 

@@ -1,16 +1,23 @@
-"""Matching of columns to joints by name."""
+"""Matching of the columns of logs and motions to joints by name."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.roles import words_of
 from asbuilt.findings import Cure
 
+WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+"""A word or a number of a name."""
 _GENERIC = {"joint", "joints", "jnt", "j", "axis", "link"}
 GRIPPERS = {"gripper", "grippers", "jaw", "jaws", "finger", "fingers"}
 """Words in the name of a joint that is often logged as a share of its range."""
+
+
+def words_of(name: str) -> list[str]:
+    """Split a name into words and numbers: "jointTorque_1" -> ["joint", "torque", "1"]."""
+    return [word.lower() for word in WORD.findall(name.replace("τ", "tau").replace("θ", "theta"))]
 
 
 def names_gripper(joint: str) -> bool:
@@ -29,9 +36,9 @@ def match_joints(
 
     Names are equal if their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a name
     space; a number alone is a name where both sides only count (`wrist_1_joint` beside
-    `elbow_joint` is no `joint_1`). Joints that the robot does not have, such as a gripper's, are left out, unless the labels
-    only count them. If no name fits, labels that count (`lbr_joint_0`, ...) are matched to the
-    robot's joints in numeric order.
+    `elbow_joint` is no `joint_1`). Joints that the robot does not have, such as a gripper's, are
+    left out, unless the labels only count them. If no name fits, labels that count
+    (`lbr_joint_0`, ...) are matched to the robot's joints in numeric order.
 
     Raises
     ------
