@@ -49,12 +49,10 @@ from asbuilt.registry import Registry
 if TYPE_CHECKING:
     import polars as pl
 
-    from asbuilt.identification.result.summary import Summary
-
 FIGURES: Registry[Any] = Registry("figure", "asbuilt.writers.figures.kinds", "asbuilt.figures")
 """Functions of a result, a prediction or None, and axes or None, that draw and return the axes."""
 SUMMARY = "asbuilt.identification.result.summary"
-"""Module that summarises results, which it imports."""
+"""Module that summarises results; it imports this one for its types, so it is loaded late."""
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
@@ -249,7 +247,8 @@ class IdentificationResult:
         )
 
     def _repr_html_(self) -> str:
-        return self.summary()._repr_html_()
+        screen: str = self.summary()._repr_html_()
+        return screen
 
     @property
     def robot(self) -> str:
@@ -343,9 +342,9 @@ class IdentificationResult:
             t_value=self.tvalues, lower=lower, upper=upper
         )
 
-    def summary(self) -> Summary:
-        """Summarise the result as text, HTML or CSV."""
-        return import_module(SUMMARY).summarise(self)  # type: ignore[no-any-return]
+    def summary(self) -> Any:
+        """Summarise the result as text, HTML or CSV: the `Summary` of `summarise`."""
+        return import_module(SUMMARY).summarise(self)
 
     def plot(self, kind: str = "parameters", of: Any = None, axes: Any = None) -> Array:
         """Draw a figure with matplotlib.

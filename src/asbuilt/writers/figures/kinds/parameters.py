@@ -46,6 +46,7 @@ def draw_parameters(result: IdentificationResult, prediction: Prediction | None,
                 )
         axis.axvline(0.0, color=INK, linewidth=0.7)
         axis.set_xscale("symlog", linthresh=10.0)
+        axis.xaxis.set_major_formatter("{x:g}")
         axis.set_yticks(rows, result.names)
         axis.set_ylim(len(rows) - 0.5, -0.5)
         axis.set_xlabel("as built less CAD [standard errors]")

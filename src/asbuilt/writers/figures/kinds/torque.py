@@ -34,7 +34,8 @@ def _by_joint(
             torques = shown.t, shown.measured[:, k], shown.predicted[:, k]
             (draw_errors if residuals else draw_torque)(axis, *torques)
             axis.set_ylabel(torque_label(joint.name, "N m" if joint.is_revolute else "N"))
-        own[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        for axis in own if residuals else own[:1]:
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
         own[-1].set_xlabel("time [s]")
         if axes is None:
             headline(own[0].figure, f"{result.robot}: {shown.source}")
