@@ -15,7 +15,7 @@ assert asbuilt.check_recording(model, training).ok
 
 study = asbuilt.identify(model, training, validation=test)
 result = study.result
-print(study.summary)
+print(study.summary())
 assert result.rank == result.n_base
 assert result.validation[0].relative_error < 0.5 * result.cad.relative_error
 

@@ -1,16 +1,62 @@
-"""Registries: objects by name, from the modules of one package and from other distributions."""
+"""Names: registries of objects, options by keyword, and the nearest known name of a wrong one."""
 
 from __future__ import annotations
 
 import difflib
 import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields
 from importlib import import_module
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from asbuilt.errors import UsageError
 
 T = TypeVar("T")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return a question that proposes the nearest of the known names, empty if none is near.
+
+    >>> did_you_mean("metod", ["method", "drive"])
+    "did you mean 'method'? "
+    """
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"did you mean {near[0]!r}? " if near else ""
+
+
+def shared_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dict[str, Any]]:
+    """Return the settings of each class of options, by the names of their fields.
+
+    Texts are read as an interface reads them (`parse` and `choices` in the field's metadata).
+
+    Raises
+    ------
+    UsageError
+        If no class has a field of this name; the nearest one is proposed.
+    """
+    entries = {entry.name: (group, entry) for group in groups for entry in fields(group)}
+    found: dict[type[Any], dict[str, Any]] = {group: {} for group in groups}
+    for name, value in settings.items():
+        if name not in entries:
+            raise UsageError(
+                f"there is no option {name!r}; {did_you_mean(name, entries)}there are"
+                f" {', '.join(entries)}",
+                value=name,
+                available=[*entries],
+            )
+        group, entry = entries[name]
+        found[group][name] = _read(value, entry.metadata)
+    return [*found.values()]
+
+
+def _read(value: Any, metadata: Mapping[str, Any]) -> Any:
+    """Return what a text stands for, other values as they are."""
+    choices, parse = metadata.get("choices"), metadata.get("parse")
+    if not isinstance(value, str):
+        return value
+    if isinstance(choices, Mapping):
+        return choices.get(value, value)
+    return value if parse is None else parse(value)
 
 
 class Registry(Mapping[str, T]):
@@ -48,9 +94,9 @@ class Registry(Mapping[str, T]):
         """Return the object of this name; raises `UsageError` with the nearest and all names."""
         if name in self:
             return self[name]
-        near = difflib.get_close_matches(name, self, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise UsageError(f"unknown {self.what} {name!r}; {hint}available: {', '.join(self)}")
+        raise UsageError(
+            f"unknown {self.what} {name!r}; {did_you_mean(name, self)}available: {', '.join(self)}"
+        )
 
     def __getitem__(self, name: str) -> T:
         self._load()

@@ -313,6 +313,8 @@ def test_flipped_torque_is_refused_with_its_cure(
         (["identify", "scara", "{log}", "--out", "{log}/x"], 2, "is a file"),
         (["identify", "scara", "{log}", "--cutoff", "1e-9"], 2, "raise the cutoff"),
         (["simulate", "scara", "--seed", "-1"], 2, "--seed"),
+        (["simulate", "scara", "--free", "drop", "--robot-seed", "1"], 2, "--robot-seed"),
+        (["compare", "before.json", "after.json"], 2, "compare RESULT --with RESULT2"),
         (
             ["simulate", "scara", "--rate", "0", "--engine", "inverse-dynamics"],
             2,

@@ -111,6 +111,22 @@ def test_a_recording_with_errors_is_refused_unless_unchecked(recordings: list[Re
     identify(load_robot("scara"), [recordings[0].flipped()], options=StudyOptions(checked=False))
 
 
+def test_options_are_keywords_too(recordings: list[Recording]) -> None:
+    """The same numbers as by the option class, texts as on the command line, and near names."""
+    model, log = load_robot("scara"), recordings[0]
+    one = identify(model, log, method="wls", mounting="cad", drive="viscous,coulomb")
+    drive = DriveSet.parse("viscous,coulomb")
+    other = identify(model, log, options=StudyOptions(method="wls", drive=drive))
+    assert np.array_equal(one.result.estimates, other.result.estimates)
+    assert one.result.to_json() == other.result.to_json()
+    with pytest.raises(UsageError, match="no option 'metod'; did you mean 'method'"):
+        identify(model, log, metod="wls")
+    with pytest.raises(UsageError, match="read already, so that flip_torque would have no effect"):
+        identify(model, log, flip_torque=True)
+    assert str(one.summary()) == one.summary().as_text()
+    assert one.plot("residuals").size == model.n_joints
+
+
 def study_of(
     shared: Path,
     robot: str,

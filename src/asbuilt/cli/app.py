@@ -247,7 +247,7 @@ def _status(given: list[str]) -> int:
     except typer.TyperException as problem:
         place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
         message = " ".join(problem.format_message().split()).rstrip(".")
-        return _fail(given, "UsageError", message, f"{place} -h lists the options", {}, 2)
+        return _fail(given, "UsageError", message, _usage_hint(place, message), {}, 2)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -286,6 +286,14 @@ def _memory() -> str:
             soft = resource.getrlimit(limit)[0]
             most = min(most, soft if soft != resource.RLIM_INFINITY else math.inf)
     return f"this process may have {most / 1e9:.3g} GB"
+
+
+def _usage_hint(place: str, message: str) -> str:
+    """Return what to do about wrong usage of a command."""
+    entry = EVERY_COMMAND.get(place.removeprefix("asbuilt "))
+    if entry is not None and entry.surplus and "unexpected extra argument" in message:
+        return entry.surplus
+    return f"{place} -h lists the options"
 
 
 def _fail(

@@ -24,6 +24,8 @@ class Entry:
         Whether it calls compiled dynamics.
     bare
         Options that may stand without their value.
+    surplus
+        What to do with one argument too many, in place of reading the help.
     """
 
     module: str
@@ -32,6 +34,7 @@ class Entry:
     call: str
     compiles: bool = True
     bare: tuple[str, ...] = ()
+    surplus: str = ""
 
 
 GROUPS: dict[str, dict[str, Entry]] = {
@@ -161,6 +164,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "Compare CAD with the robot as built, or two results.",
             ("study/result.json", "before.json --with after.json -o changes"),
             "compare",
+            surplus="two results are compared by asbuilt compare RESULT --with RESULT2",
         ),
         "review": Entry(
             "review",

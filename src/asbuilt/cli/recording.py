@@ -165,6 +165,18 @@ def simulate(
         ),
     ] = None,
     seed: Seed = 0,
+    robot_seed: Annotated[
+        int | None,
+        typer.Option(
+            "--robot-seed",
+            metavar="N",
+            min=0,
+            help=(
+                "seed of the robot alone, so that --seed draws another motion and other noise of"
+                " the same robot (default: that of --seed)"
+            ),
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -206,6 +218,7 @@ def simulate(
             "--set": settings,
             "--rate": rate,
             "--engine inverse-dynamics": engine != "mujoco",
+            "--robot-seed": robot_seed is not None,
         }
         refuse_idle(
             "--free simulates the robot as described, without controller and sensors",
@@ -218,7 +231,8 @@ def simulate(
     if motion is not None and duration is not None:
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
     moved = _motion(model, motion, duration, seed, fast=kind == "servo")
-    virtual = VirtualRobot.preset(kind, model, seed, tool=carried, at=place, engine=runs_on)
+    of_robot = seed if robot_seed is None else robot_seed
+    virtual = VirtualRobot.preset(kind, model, of_robot, tool=carried, at=place, engine=runs_on)
     virtual = with_settings(virtual.logging(rate), settings or ())
     with progress_bar() as report:
         simulated = virtual.record(moved, seed, progress=lambda fraction: report("move", fraction))

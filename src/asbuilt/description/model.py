@@ -18,7 +18,12 @@ from asbuilt.description.structure.couplings import (
     separated,
     tree_order,
 )
-from asbuilt.description.structure.locking import held_followers, locked_positions, merged
+from asbuilt.description.structure.locking import (
+    assumed_carriers,
+    held_followers,
+    locked_positions,
+    merged,
+)
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
@@ -73,7 +78,8 @@ class RobotModel:
     (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of
     many arms; the motors' torques act on the joints by its transpose. None means T = 1.
     `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`, and
-    `held_followers` those among them that follow a joint which moves, with that joint.
+    `held_followers` those among them that follow a joint which moves, with that joint;
+    `assumed_carriers` are those that carry a joint which moves, at a position that nobody gave.
     `mass_ranges` are what is known of masses beside the description, as from a scale.
     `source` says where the description came from, `citation` whose facts they are.
     """
@@ -90,6 +96,7 @@ class RobotModel:
     motor_coupling: Array | None = None
     locked_joints: Mapping[str, float] = field(default_factory=dict)
     held_followers: Mapping[str, str] = field(default_factory=dict)
+    assumed_carriers: tuple[str, ...] = ()
     mass_ranges: tuple[MassRange, ...] = ()
     source: str = ""
     citation: str = ""
@@ -433,6 +440,7 @@ class RobotModel:
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
             held_followers=held_followers(every, self.held_followers, values),
+            assumed_carriers=assumed_carriers(every, self.assumed_carriers, joints, values),
             mass_ranges=tuple(
                 known
                 for known in self.mass_ranges

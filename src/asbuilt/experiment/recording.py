@@ -20,6 +20,11 @@ TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
 TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "command", "unknown")
 
 
+FLIPPED = "the sign of every torque was flipped"
+FLIPPED_TWICE = "the sign of every torque was flipped twice, so that it is again that of the log"
+"""Notes of `Recording.flipped`."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """Hold one recording as the robot logged it.
@@ -214,12 +219,10 @@ class Recording:
         extra = {
             name: -value if name.startswith("tau") else value for name, value in self.extra.items()
         }
-        return replace(
-            self,
-            tau=-self.tau,
-            extra=extra,
-            notes=(*self.notes, "the sign of every torque was flipped"),
-        )
+        again = FLIPPED in self.notes
+        kept = tuple(note for note in self.notes if note != FLIPPED)
+        note = FLIPPED_TWICE if again else FLIPPED
+        return replace(self, tau=-self.tau, extra=extra, notes=(*kept, note))
 
     def scaled(self, gain: ArrayLike) -> Recording:
         """Return the recording with torques times `gain`, one number or one per joint."""

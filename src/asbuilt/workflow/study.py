@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+from asbuilt.arrays import Array
 from asbuilt.codec import plain, restored
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
@@ -14,6 +16,7 @@ from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.executor import Workers
+from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
@@ -25,6 +28,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.stored_document import stored_document
 from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
+from asbuilt.registry import shared_settings
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison, compare
 from asbuilt.validation.prediction import Validation
@@ -91,12 +95,16 @@ class Study:
         return f"<Study: {self.result!r}; findings: {codes}>"
 
     def _repr_html_(self) -> str:
-        return self.summary.as_html()
+        return self.summary()._repr_html_()
 
-    @cached_property
     def summary(self) -> Summary:
-        """Result and findings as text, HTML or CSV."""
+        """Summarise result and findings as text, HTML or CSV."""
         return summarise(self.result, findings=self.findings)
+
+    def plot(self, kind: str = "torque", axes: Any = None) -> Array:
+        """Draw a figure as `IdentificationResult.plot`, of what was held out if anything was."""
+        shown = (*self.validations, *self.training, None)[0]
+        return self.result.plot(kind, shown, axes)
 
     @cached_property
     def comparison(self) -> Comparison:
@@ -144,6 +152,7 @@ def identify(
     options: StudyOptions | None = None,
     workers: Workers | None = None,
     progress: Progress | None = None,
+    **settings: Any,
 ) -> Study:
     """Identify a robot from recordings and validate the result.
 
@@ -162,6 +171,9 @@ def identify(
         Who simulates rollouts, to the same bits: those of `open_workers`; None: this process.
     progress
         Called with the name of a step and the fraction done.
+    **settings
+        Single fields of `StudyOptions` and `ReadingOptions` in place of those of `options`, such as
+        `method="wls", rate=1000`; texts as on the command line.
 
     Returns
     -------
@@ -175,23 +187,25 @@ def identify(
     IdentifiabilityError
         If the recordings are too short.
     UsageError
-        If no recording is given or an option is wrong.
+        If no recording is given, there is no such option, or its value is wrong.
 
     Examples
     --------
-    >>> from asbuilt import load_robot, simulate_recording, identify, StudyOptions
+    >>> from asbuilt import load_robot, simulate_recording, identify
     >>> from asbuilt.excitation.motions.random_motion import random_fourier
     >>> model = load_robot("two-link")
     >>> motion = random_fourier(model, rng=1, duration=10.0)
     >>> log = simulate_recording(model, motion, rng=1)
-    >>> study = identify(model, log, options=StudyOptions(holdout="last:0.3", method="wls"))
+    >>> study = identify(model, log, holdout="last:0.3", method="wls")
     >>> study.result.rank == study.result.n_base
     True
     """
-    wanted = options or StudyOptions()
+    of_study, of_reading = shared_settings(settings, StudyOptions, ReadingOptions)
+    wanted, reading = replace(options or StudyOptions(), **of_study), ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    if not isinstance(robot, RobotModel):
+        robot = load_robot(robot, fixed_base=reading.fixed_base)
+    model, (trained, others) = fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_known_masses(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
     trained, others, servo, options = settle_servo(model, trained, others, options)

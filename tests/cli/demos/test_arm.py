@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,11 @@ from asbuilt.cli.demos.arm import Demo, demo_document, demo_text, run_demo
 from asbuilt.description.load import load_robot
 from asbuilt.writers.tables.tabular import json_text
 from command_line import documented_fields
+from shown_numbers import missing
+
+README = Path(__file__).resolve().parents[3] / "README.md"
+TOLERANCE = 0.5
+"""Of the numbers that README.md shows, whose motion was searched for fifteen times as long."""
 
 pytestmark = pytest.mark.study
 
@@ -56,3 +62,17 @@ def test_it_ends_in_one_screen_and_one_document(story: Demo) -> None:
     assert f"{len(story.files)} in {folder}" in screen
     document = json.loads(json_text(demo_document(story)))
     assert set(document) == documented_fields()["demo"][0]
+
+
+def test_the_readme_shows_this_screen(story: Demo) -> None:
+    block = next(
+        each
+        for each in re.findall(r"^```\n(.*?)^```", README.read_text(), re.DOTALL | re.MULTILINE)
+        if each.startswith("kuka-iiwa7-r800 with")
+    )
+    shown, printed = (
+        re.sub(r"motion in \d+ s", "motion in so many s", text)
+        for text in (block.partition("\n...")[0], demo_text(story))
+    )
+    lacking = missing(shown, printed, TOLERANCE)
+    assert not lacking, f"the README shows\n{lacking}\nand the demo prints\n{printed}"

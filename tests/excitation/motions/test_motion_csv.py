@@ -102,3 +102,13 @@ def test_a_missing_file_and_a_binary_one_are_refused(tmp_path: Path) -> None:
     binary.write_bytes(bytes(range(256)) * 20)
     with pytest.raises(MotionError):
         read_motion(binary)
+
+
+def test_numbers_name_joints_as_they_do_in_logs(tmp_path: Path) -> None:
+    """Columns q_1 to q_3 are those of the robot's joints in order, whatever these are called."""
+    path = write_motion(tmp_path / "m.csv", motion(), ("1", "2", "3"), rate=50)
+    back = read_motion(path, robot(("shoulder", "elbow", "hand")))
+    assert back.joint_names == ("shoulder", "elbow", "hand")
+    np.testing.assert_allclose(back.at(0.0)[0], motion().at(0.0)[0], atol=1e-12)
+    with pytest.raises(MotionError, match="missing joints a, b, c, d"):
+        read_motion(path, robot(("a", "b", "c", "d")))

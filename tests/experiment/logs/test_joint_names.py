@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.joint_matching import match_joints
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.readers import read_recording
@@ -151,3 +152,16 @@ def test_names_that_may_be_no_position_are_no_command(tmp_path: Path, name: str)
     np.savetxt(path, np.ones((9, 5)), delimiter=",", header=",".join(columns), comments="")
     with pytest.raises(RecordingError, match="no columns for joint torques"):
         read_recording(path)
+
+
+def test_a_number_is_no_name_of_a_joint_with_another() -> None:
+    """The log of one arm is not that of another whose joints count, though three wrists count."""
+    arm, counted = bundled_robot("ur10e"), bundled_robot("puma-560")
+    for labels, robot in ((arm.joint_names, counted), (counted.joint_names[:3], arm)):
+        with pytest.raises(RecordingError) as caught:
+            match_joints(labels, robot.joint_names, source="log", robot=robot.name)
+        assert caught.value.fields["missing"] is None
+    with_hand = [f"lbr_{name}" for name in counted.joint_names] + ["left_finger"]
+    order, (note,) = match_joints(with_hand, counted.joint_names, source="log", robot="arm")
+    assert order == list(range(6))
+    assert "left_finger" in note

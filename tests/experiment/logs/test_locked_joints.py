@@ -12,11 +12,11 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.joint_matching import joints_without_label
 from asbuilt.description.model import Joint, JointLimits, Link, Mimic, RobotModel
 from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.logs.columns.joint_matching import joints_without_label
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.recordings import fitted_recordings
 from asbuilt.experiment.quality.checks import check_recording
@@ -184,3 +184,26 @@ def test_joints_that_are_named_leave_those_that_a_log_counts(hand: RobotModel) -
     fingers = ReadingOptions(lock="shoulder_pan_joint,finger_left,finger_right")
     model, _ = fitted_recordings(hand, [[columns]], fingers)
     assert model.joint_names == arm.joint_names[1:]
+
+
+def test_a_missing_joint_that_carries_others_is_a_warning() -> None:
+    """The weight behind it turns with a position that nobody knows; an arm's last joint is none."""
+    arm = bundled_robot("ur10e")
+    motion = random_fourier(arm, rng=2, duration=4.0)
+    whole = simulate_recording(arm, motion, rate=100.0, rng=3)
+    for missing, severity in (("elbow_joint", "warning"), ("wrist_3_joint", "info")):
+        kept = [name for name in arm.joint_names if name != missing]
+        columns = {"t": whole.t}
+        for name in kept:
+            k = arm.joint_names.index(name)
+            columns |= {f"q_{name}": whole.q[:, k], f"tau_{name}": whole.tau[:, k]}
+        model, _ = fitted_recordings(arm, [[columns]])
+        (finding,) = lock_findings(
+            model.locked_joints, model.held_followers, model.assumed_carriers
+        )
+        assert finding.severity == severity
+        assert missing in finding.message
+        stored = model_from_document(model_document(model))
+        assert stored.assumed_carriers == model.assumed_carriers
+        known, _ = fitted_recordings(arm, [[columns]], ReadingOptions(lock=f"{missing}=0.4"))
+        assert known.assumed_carriers == ()

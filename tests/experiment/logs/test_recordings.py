@@ -92,8 +92,10 @@ def test_errors_carry_fields(tmp_path: Path) -> None:
     with pytest.raises(RecordingError) as error:
         read_recording(path)
     assert (error.value.file, error.value.line, error.value.value) == (str(path), 3, "oops")
-    with pytest.raises(UsageError, match="'speed' is not an option of reading; there are rate"):
+    with pytest.raises(UsageError, match=r"no option 'speed'; .*there are rate, flip_torque"):
         read_recording(path, speed=3)
+    with pytest.raises(UsageError, match=r"no option 'flip_torques'; did you mean 'flip_torque'\?"):
+        read_recording(path, flip_torques=True)
     with pytest.raises(UsageError, match="torque_source 'wheel' is not one of sensor"):
         ReadingOptions(torque_source="wheel")  # type: ignore[arg-type]
     with pytest.raises(RecordingError, match="none of its columns is numeric"):

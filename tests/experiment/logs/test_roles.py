@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from asbuilt.description.joint_matching import match_joints
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.joint_matching import match_joints
 from asbuilt.experiment.logs.columns.roles import quantity_of_file, recognise, unit_scale
 
 

@@ -262,3 +262,30 @@ def test_a_group_that_another_follows_is_its_command(
     for k, each in enumerate(order):
         assert sheet["columns"][each] == f"{6 * k + 1}-{6 * k + 6}"
     assert "torque" not in sheet["columns"]
+
+
+@pytest.mark.parametrize("unit", [1.0, 180.0 / np.pi])
+def test_velocities_give_the_rate_of_a_log_without_times(
+    tmp_path: Path, values: dict[str, np.ndarray], unit: float
+) -> None:
+    table = np.column_stack([values["position"], unit * values["velocity"], values["torque"]])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",")
+    sheet = _draft(tmp_path / "log.csv")
+    assert sheet["rate"] == pytest.approx(50.0, rel=0.01)
+    assert sheet.get("units", {}) == ({"velocity": "deg/s"} if unit > 1.0 else {})
+
+
+@pytest.mark.parametrize("where", ["first", "last", "set back", "named"])
+def test_time_is_found_wherever_it_is(
+    tmp_path: Path, values: dict[str, np.ndarray], where: str
+) -> None:
+    t = np.arange(len(values["position"])) / 50.0
+    if where == "set back":
+        t[300:] -= 0.05
+    parts = [t[:, None], values["position"], values["torque"]]
+    table = np.hstack(parts[1:] + parts[:1] if where == "last" else parts)
+    header = ",".join(f"c{k}" for k in range(13)) if where == "named" else ""
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
+    sheet = _draft(tmp_path / "log.csv")
+    assert sheet["columns"]["time"] == (13 if where == "last" else 1)
+    assert "rate" not in sheet

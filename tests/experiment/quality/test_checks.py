@@ -13,6 +13,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError
+from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recording, read_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.quality.checks import check_recording
@@ -94,7 +95,7 @@ def test_pinocchio_torques_pass_and_flipped_ones_do_not(shared: Path) -> None:
     model = load_robot(path)
     recording = record(model, 4, lambda q, qd, qdd: pin.rnea(oracle, data, q, qd, qdd))
     assert check_recording(model, recording).ok
-    check = check_recording(model, recording.flipped())
+    check = check_recording(model, replace(recording, tau=-recording.tau))
     assert [item.code for item in check.errors] == ["torque_flipped"]
     with pytest.raises(
         RecordingError, match=r"torque sign looks flipped.*flip the torque sign"
@@ -524,3 +525,37 @@ def test_torque_beneath_noise_is_no_torque_of_another_robot(seed: int) -> None:
         ).findings
     }
     assert "torque_uncorrelated" in codes
+
+
+def test_a_rate_too_high_is_no_unit(iiwa: RobotModel, clean: Recording) -> None:
+    """Too fast by the clock alone: the torques still follow gravity at positions in radians."""
+    fast = replace(clean, t=clean.t / 6.0, qd=None, qdd=None)
+    check = check_recording(iiwa, fast)
+    assert [item.code for item in check.errors] == ["rate_wrong"]
+    assert "too high" in check.errors[0].message
+    assert "follow gravity" in check.errors[0].message
+    weightless = iiwa.with_gravity(np.zeros(3))
+    rows = inverse_dynamics(weightless, clean.q, np.zeros_like(clean.q), np.ones_like(clean.q))
+    (unclear,) = check_recording(weightless, replace(fast, tau=rows)).errors
+    assert "look like degrees, or the rate of" in unclear.message
+
+
+def test_positions_of_another_robot_are_not_degrees_for_sure() -> None:
+    """The joints of a UR10e turn farther than those of a Puma, whose gravity they do not fit."""
+    puma, arm = bundled_robot("puma-560"), bundled_robot("ur10e")
+    samples = random_fourier(arm, rng=0, duration=20.0).sample(100.0)
+    tau = inverse_dynamics(arm, samples.q, samples.qd, samples.qdd)
+    log = Recording(t=samples.t, q=samples.q, tau=tau, joint_names=puma.joint_names)
+    (error,) = check_recording(puma, log).errors
+    assert "another robot's" in error.message
+    assert "choose the robot" in str(error.cure)
+
+
+def test_flips_that_cancel_are_named(iiwa: RobotModel, clean: Recording) -> None:
+    twice = check_recording(iiwa, clean.flipped().flipped())
+    assert [item.code for item in twice.warnings] == ["flips_cancel"]
+    assert "the same holds for" not in twice.as_text()
+    (error,) = check_recording(iiwa, replace(clean, tau=-clean.tau).flipped().flipped()).errors
+    assert "keep one of the two flips" in str(error.cure)
+    (error,) = check_recording(iiwa, clean.flipped()).errors
+    assert "flip the torque sign back" in str(error.cure)

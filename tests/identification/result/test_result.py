@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from dataclasses import fields, replace
 from html.parser import HTMLParser
@@ -32,6 +33,7 @@ from asbuilt.identification.result.result import (
 )
 from asbuilt.identification.result.summary import summarise
 from asbuilt.identification.result.torque_prediction import carrying
+from asbuilt.identification.statistics import confidence_intervals
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 GOLDEN = Path(__file__).parent / "summary.txt"
@@ -462,6 +464,37 @@ def test_a_result_shows_itself_in_one_screen(arm):
         "<IdentificationResult of two-link: wls, 14 base parameters (rank 13) from 5312 samples;"
         " relative torque error 5.1 %, held out 7.7 %>"
     )
-    page = result._repr_html_()
-    assert page.count("<tr") == result.n_base + 1
-    assert result.base.expressions[0] in page
+    lines = html.unescape(result._repr_html_()).removeprefix("<pre>").splitlines()
+    assert len(lines) <= 48
+    assert max(map(len, lines)) <= 80
+    assert lines[0] == str(summarise(result)).splitlines()[0]
+
+
+def test_a_statistician_reads_the_result(arm):
+    """Intervals by the tabulated quantiles of the normal and of Student's distribution."""
+    result = invented(arm)
+    assert np.array_equal(result.params, [each.estimate for each in result.parameters])
+    assert np.array_equal(result.bse, result.std_errors)
+    known = result.bse > 0
+    np.testing.assert_allclose((result.tvalues * result.bse)[known], result.params[known])
+    interval = result.conf_int()
+    np.testing.assert_allclose(interval.mean(axis=1)[known], result.params[known], atol=1e-12)
+    np.testing.assert_allclose(np.ptp(interval, axis=1), 2 * 1.959964 * result.bse, rtol=1e-6)
+    few = confidence_intervals(np.zeros(1), np.ones(1), np.array([4.0]), 0.95)
+    np.testing.assert_allclose(few, [[-2.776445, 2.776445]], rtol=1e-6)
+    for level in (0.0, 1.0, 95.0):
+        with pytest.raises(UsageError, match="between 0 and 1"):
+            result.conf_int(level)
+    frame = result.to_frame(0.9)
+    assert frame["name"].to_list() == list(result.names)
+    assert frame["lower"].to_numpy() == pytest.approx(result.conf_int(0.9)[:, 0], nan_ok=True)
+    assert frame.height == result.n_base
+
+
+def test_a_result_predicts_states_and_samples(arm):
+    result = invented(arm)
+    rng = np.random.default_rng(3)
+    q, qd, qdd = rng.normal(size=(3, 5, 2))
+    assert np.array_equal(result.predict(q, qd, qdd), result.torque(q, qd, qdd))
+    with pytest.raises(UsageError, match="got a str alone"):
+        result.predict("log.csv")

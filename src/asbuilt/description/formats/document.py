@@ -43,6 +43,7 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         "drives_by_design": model.drives_by_design,
         "locked_joints": dict(model.locked_joints),
         "held_followers": dict(model.held_followers),
+        "assumed_carriers": list(model.assumed_carriers),
         "mass_ranges": [
             [list(known.links), known.lower, known.upper if np.isfinite(known.upper) else None]
             for known in model.mass_ranges
@@ -88,6 +89,7 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             held_followers={
                 str(name): str(of) for name, of in document.get("held_followers", {}).items()
             },
+            assumed_carriers=tuple(str(name) for name in document.get("assumed_carriers", ())),
             mass_ranges=tuple(
                 MassRange(
                     tuple(str(name) for name in links),

@@ -111,12 +111,41 @@ def held_followers(
     return {name: of for name, of in found.items() if of in moving}
 
 
+def assumed_carriers(
+    present: Sequence[Joint],
+    before: Sequence[str],
+    joints: Mapping[str, float | None] | Iterable[str],
+    values: Mapping[str, float],
+) -> tuple[str, ...]:
+    """Return the locked joints that carry one which moves, and whose position nobody gave.
+
+    `before` are those known already, `joints` the ones asked for, `values` those locked now. The
+    weight of all that a joint carries turns with its position: at 0 it is a guess.
+    """
+    given = joints if isinstance(joints, Mapping) else {}
+    carry: set[str] = set()
+    for joint in present:
+        parent = ROOT if joint.name in values else joint.parent
+        while parent != ROOT:
+            carry.add(present[parent].name)
+            parent = present[parent].parent
+    guessed = [
+        joint.name
+        for joint in present
+        if joint.name in values and given.get(joint.name) is None and joint.mimic is None
+    ]
+    return (*before, *(name for name in guessed if name in carry))
+
+
 def lock_findings(
-    locked: Mapping[str, float], followers: Mapping[str, str] | None = None
+    locked: Mapping[str, float],
+    followers: Mapping[str, str] | None = None,
+    carriers: Sequence[str] = (),
 ) -> tuple[Finding, ...]:
     """Return a finding that names the locked joints with their positions.
 
-    Another one names those that follow (`followers`) a joint which moves.
+    It is a warning where some of them (`carriers`) carry joints that move, at positions that are
+    assumed. Another one names those that follow (`followers`) a joint which moves.
     """
     if not locked:
         return ()
@@ -133,15 +162,21 @@ def lock_findings(
     held = [f"{name} at {value:.4g}" for name, value in locked.items()]
     names = ",".join(f"{name}=VALUE" for name in locked)
     several = len(held) > 1
+    guess = (
+        f"; {joined(carriers)} carr{'y' if len(carriers) > 1 else 'ies'} joints that move, so that"
+        " their torques are wrong if this position is"
+        if carriers
+        else ""
+    )
     return (
         Finding(
             "joints_locked",
-            "info",
+            "warning" if carriers else "info",
             f"joints are locked that the recording lacks or that were named: {joined(held)}; their"
-            " links count to those that carry them"
+            f" links count to those that carry them{guess}"
             if several
             else f"joint {held[0]} is locked, since the recording lacks it or it was named; its"
-            " link counts to the one that carries it",
+            f" link counts to the one that carries it{guess}",
             Cure(
                 f"if {'they' if several else 'it'} stood elsewhere, give the"
                 f" position{'s' if several else ''}",

@@ -14,8 +14,9 @@ import polars as pl
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.description.joint_matching import match_joints
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import MotionError
+from asbuilt.errors import MotionError, RecordingError
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.spline import SplineMotion
@@ -58,7 +59,7 @@ class SampledMotion(QuinticMotion):
 
 
 def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -> SampledMotion:
-    """Read a motion from CSV; with a `model`, joints are put into its order by name.
+    """Read a motion from CSV; with a `model`, joints are put into its order by name or number.
 
     Velocities and accelerations may be missing; they are then those of the natural quintic spline
     through the positions.
@@ -83,16 +84,9 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         )
     if not table.height:
         raise MotionError(f"{source} is not a motion: it has a header but no data")
+    labels = names
     if model is not None:
-        missing = [name for name in model.joint_names if name not in names]
-        unknown = [name for name in names if name not in model.joint_names]
-        if missing or unknown:
-            raise MotionError(
-                f"{source} does not fit {model.name}: missing joints"
-                f" {', '.join(missing) or 'none'}, unknown joints {', '.join(unknown) or 'none'};"
-                f" the robot has {', '.join(model.joint_names)}"
-            )
-        names = model.joint_names
+        names, labels = model.joint_names, _labels_of_joints(names, model, source)
     given = [
         prefix for prefix in PREFIXES if any(column.startswith(prefix) for column in table.columns)
     ]
@@ -103,7 +97,7 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
             f"{source}: times must rise from line to line and there must be two; they do not at"
             f" line {row}"
         )
-    q, *rates = (_numbers(table, [prefix + name for name in names], source) for prefix in given)
+    q, *rates = (_numbers(table, [prefix + label for label in labels], source) for prefix in given)
     if len(rates) < 2:
         if t.size < 6:
             raise MotionError(
@@ -113,6 +107,23 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         spline = SplineMotion.through(q, t, ends="natural")
         rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
     return SampledMotion.of(t, q, rates[0], rates[1], names)
+
+
+def _labels_of_joints(labels: Sequence[str], model: RobotModel, source: Path) -> tuple[str, ...]:
+    """Return the label of each joint of the robot, matched as the columns of logs are."""
+    try:
+        order, _ = match_joints(labels, model.joint_names, source=str(source), robot=model.name)
+    except RecordingError:
+        order = []
+    if len(order) == len(labels):
+        return tuple(labels[k] for k in order)
+    missing = [name for name in model.joint_names if name not in labels]
+    unknown = [name for name in labels if name not in model.joint_names]
+    raise MotionError(
+        f"{source} does not fit {model.name}: missing joints {', '.join(missing) or 'none'},"
+        f" unknown joints {', '.join(unknown) or 'none'}; the robot has"
+        f" {', '.join(model.joint_names)}"
+    )
 
 
 def times_to_end(motion: Motion, rate: float) -> Array:

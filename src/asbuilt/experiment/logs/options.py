@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import GAINS, RANGES, RATES, RecordingSheet
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
 from asbuilt.ranges import Range, check_ranges, out_of_range
+from asbuilt.registry import shared_settings
 
 PathLike = str | Path
 
@@ -286,12 +287,5 @@ def reading_options(options: ReadingOptions | None, settings: Mapping[str, Any])
     UsageError
         If there is no such setting.
     """
-    known = [entry.name for entry in fields(ReadingOptions)]
-    unknown = [name for name in settings if name not in known]
-    if unknown:
-        raise UsageError(
-            f"{unknown[0]!r} is not an option of reading; there are {', '.join(known)}",
-            value=unknown[0],
-            available=known,
-        )
-    return replace(options or ReadingOptions(), **settings)
+    (chosen,) = shared_settings(settings, ReadingOptions)
+    return replace(options or ReadingOptions(), **chosen)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.formats.frames import is_columns
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
@@ -22,6 +22,7 @@ from asbuilt.experiment.logs.readers import (
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure
 
 Recorded = Recording | RecordingStream | Samples
 RecordingLike = PathLike | Recorded | Mapping[str, Any] | Any
@@ -118,11 +119,14 @@ def fitted_recordings(
     ------
     RecordingError
         If an item is no recording or does not fit the robot.
+    UsageError
+        If options say how to read what is read already.
     """
     chosen = options or ReadingOptions()
     if chosen.gravity is not None:
         model = model.with_gravity(np.asarray(chosen.gravity, dtype=np.float64))
     listed = [_listed(items) for items in groups]
+    _refuse_idle(chosen, [item for items in listed for item in items])
     asked = _locks([item for items in listed for item in items], chosen)
     while True:
         try:
@@ -150,6 +154,26 @@ def fitted_recordings(
     if model is whole and all(joints == model.joint_names for group in logged for joints in group):
         return model, read
     return model, [[_with_joints(item, model.joint_names) for item in items] for items in read]
+
+
+OF_THE_ROBOT = ("lock", "gravity", "fixed_base")
+"""Options of reading that concern recordings which are read already, too."""
+
+
+def _refuse_idle(options: ReadingOptions, items: Sequence[Any]) -> None:
+    """Raise if options say how to read, and a recording is read already."""
+    given = [
+        entry.name
+        for entry in fields(options)
+        if entry.name not in OF_THE_ROBOT and getattr(options, entry.name) != entry.default
+    ]
+    read = [item for item in items if isinstance(item, Recorded)]
+    if given and read:
+        raise UsageError(
+            f"{read[0].source} is read already, so that {', '.join(given)} would have no effect",
+            cure=Cure("give its path, or these options where it is read", call="read_recording"),
+            value=given,
+        )
 
 
 def _locks(items: Sequence[Any], options: ReadingOptions) -> dict[str, float | None]:

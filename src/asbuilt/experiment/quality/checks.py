@@ -13,6 +13,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.command_checks import command_findings
@@ -24,7 +25,7 @@ from asbuilt.experiment.quality.first_pass import (
     credible,
     first_pass,
 )
-from asbuilt.experiment.quality.motion_checks import DEGREE, in_degrees, motion_findings
+from asbuilt.experiment.quality.motion_checks import impossible_motion, motion_findings
 from asbuilt.experiment.quality.position_checks import (
     MEASURED,
     PositionNoise,
@@ -39,7 +40,7 @@ from asbuilt.experiment.quality.torque.signal_checks import (
     spike_findings,
 )
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, joined, ranked
 
 TOO_LITTLE = ("too_few_samples", "too_short")
@@ -192,7 +193,7 @@ class RecordingCheck:
 def _paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
     """Return the lines of findings of one code: the first message, the other joints by name."""
     first = group[0]
-    names = [finding.joint or "" for finding in group[1:]]
+    names = [finding.joint for finding in group[1:] if finding.joint]
     others = f"; the same holds for {joined(names)}" if names else ""
     cure = None if first.cure is None else Cure(cure_text(first.cure))
     return textwrap.wrap(
@@ -253,8 +254,8 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
         findings += coupling_findings(model, beginning)
-    findings += lock_findings(model.locked_joints, model.held_followers)
-    findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
+    findings += lock_findings(model.locked_joints, model.held_followers, model.assumed_carriers)
+    findings += map(_of_note, known.notes)
     return RecordingCheck(
         robot=model.name,
         source=recording.source,
@@ -268,6 +269,18 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     )
 
 
+def _of_note(note: str) -> Finding:
+    """Return what reading the recording did; flips that cancel are seldom meant."""
+    if note == FLIPPED_TWICE:
+        return Finding(
+            "flips_cancel",
+            "warning",
+            note,
+            Cure("take both flips out, or keep one if the sign is then wrong"),
+        )
+    return Finding("note", "info", note.removesuffix("."))
+
+
 def _findings_in_time(
     model: RobotModel, chunks: Iterable[Recording], known: FirstPass
 ) -> Iterator[Finding]:
@@ -275,14 +288,14 @@ def _findings_in_time(
     segments = UniformSegments.of(known.t, known.valid)
     closer = second_pass(model, chunks, known, () if segments is None else segments.rows)
     motion = None if segments is None else smoothed_motion(segments, closer.segments)
-    degrees = in_degrees(model, known, motion) is not None
+    excess = impossible_motion(model, known, motion)
     revolute = np.array([joint.is_revolute for joint in model.joints])
-    yield from motion_findings(model, known, motion)
+    yield from motion_findings(model, known, motion, excess)
     yield from saturation_findings(model, known, closer)
     yield from spike_findings(model, known)
     yield from filter_findings(closer.torques, known.rate)
-    if motion is not None:
-        scale = np.where(revolute & degrees, DEGREE, 1.0)
+    if motion is not None and (excess is None or excess.unit == "deg"):
+        scale = np.where(revolute & (excess is not None), DEGREE, 1.0)
         yield from torque_findings(model, known, motion, scale)
-    if not degrees:
+    if excess is None:
         yield from excitation_findings(model, known, motion)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from asbuilt.arrays import Mask
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, unit_by_gravity
 from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.running_statistics import IN_STEP
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.velocity_checks import velocity_findings
 from asbuilt.findings import Cure, Finding, joined
-
-DEGREE = np.pi / 180
-"""A degree in radians."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +41,88 @@ _STILL_ANGLE, _STILL_LENGTH = 0.05, 0.005
 """Position range below which a joint hardly moves [rad], and a prismatic one [m]."""
 
 
-def in_degrees(
+@dataclass(frozen=True, slots=True)
+class Excess:
+    """Say why motion in radians is impossible: degrees, another rate, or another robot.
+
+    Parameters
+    ----------
+    evidence
+        What exceeds which limit, as text.
+    unit
+        Unit of the positions that the torques support, None if they support neither.
+    rate
+        Highest rate [Hz] at which every joint keeps its limit of velocity in radians; None if the
+        positions themselves are impossible.
+    """
+
+    evidence: str
+    unit: Literal["rad", "deg"] | None
+    rate: float | None = None
+
+    def finding(self, given: float) -> Finding:
+        """Return the finding for a log whose rate was taken to be `given` [Hz]."""
+        convert = 'convert them, or write units = { position = "deg" } in a recording sheet'
+        right_rate = "give the rate of the recording, or correct the time stamps"
+        slower = (
+            ""
+            if self.rate is None
+            else f"the rate of {given:.4g} Hz is too high; every limit of velocity is kept up to"
+            f" {self.rate:.3g} Hz"
+        )
+        if self.unit == "rad" and not slower:
+            return Finding(
+                "position_limit",
+                "error",
+                f"the positions are another robot's, or count from another zero: {self.evidence},"
+                " and the torques follow gravity at these positions in radians",
+                Cure("choose the robot recorded, or write zero = [...] in a recording sheet"),
+            )
+        if self.unit == "rad":
+            return Finding(
+                "rate_wrong",
+                "error",
+                f"{slower}: {self.evidence}, and the torques follow gravity at these positions in"
+                " radians",
+                Cure(right_rate, settings={"rate": "HZ"}),
+            )
+        other, cure = "", Cure(convert)
+        if self.unit is None and slower:
+            other = f", or {slower}"
+            cure = Cure(f"{convert}; or {right_rate}", settings={"rate": "HZ"})
+        elif self.unit is None:
+            other, cure = ", or another robot's", Cure(f"choose the robot recorded, or {convert}")
+        kept = "" if slower else ", and as degrees every joint keeps its limits"
+        return Finding(
+            "degrees",
+            "error",
+            f"the positions look like degrees{other}: {self.evidence}{kept}",
+            cure,
+        )
+
+
+def impossible_motion(
     model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
-) -> str | None:
-    """Return why the positions must be degrees, None if they need not be."""
+) -> Excess | None:
+    """Return why the motion in radians is impossible, None if it is not."""
     revolute = np.array([joint.is_revolute for joint in model.joints])
     if not revolute.any():
         return None
+    evidence, largest = _far(model, recording, revolute)
+    rate = None
+    if not evidence and motion is not None:
+        evidence, ratio = _fast(model, motion, revolute)
+        rate = recording.rate / ratio
+    if not evidence:
+        return None
+    unit: Literal["rad", "deg"] | None = "deg"
+    if largest < LARGEST_RADIANS and motion is not None:
+        unit = unit_by_gravity(model, motion.q, motion.tau)
+    return Excess(evidence, unit, rate)
+
+
+def _far(model: RobotModel, recording: FirstPass, revolute: Mask) -> tuple[str, float]:
+    """Return which position is far outside its limits, empty if none is, and the largest one."""
     extremes = recording.position_range
     largest = np.maximum(np.abs(extremes.low), np.abs(extremes.high))
     largest = np.where(extremes.count > 0, largest, np.nan)[revolute]
@@ -55,53 +130,58 @@ def in_degrees(
     bounds = np.array([max(abs(limit.lower), abs(limit.upper)) for limit in limits])
     bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
     over = largest / bounds
-    name = np.array(model.joint_names)[revolute]
-    if (
+    if not (
         np.max(over) > DEGREES.position
         and np.sum(over > DEGREES.some) >= max(1, revolute.sum() // 3)
         and np.all(over * DEGREE < DEGREES.as_degrees)
     ):
-        k = int(np.argmax(over))
-        return (
-            f"{name[k]} reaches {largest[k]:.4g}, {over[k]:.3g} times its limit of {bounds[k]:.4g}"
-            " rad, and as degrees every joint keeps its limits"
-        )
-    if motion is not None:
-        speed = np.percentile(np.abs(motion.qd[:, revolute]), 99.5, axis=0)
-        fastest = np.array([limit.velocity for limit in limits])
-        known = np.isfinite(fastest) & (fastest > 0)
-        ratio = speed / np.where(known, fastest, DEGREES.assumed_speed)
-        if (
-            np.max(ratio) > DEGREES.speed
-            and np.median(ratio) > DEGREES.median_speed
-            and np.all(ratio * DEGREE < DEGREES.speed_as_degrees)
-        ):
-            k = int(np.argmax(ratio))
-            return (
-                f"{name[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g} times its limit of"
-                f" {speed[k] / ratio[k]:.4g} rad/s"
-            )
-    return None
+        return "", float(np.nanmax(largest, initial=0.0))
+    k = int(np.argmax(over))
+    return (
+        f"{_names(model, revolute)[k]} reaches {largest[k]:.4g}, {over[k]:.3g} times its limit of"
+        f" {bounds[k]:.4g} rad"
+    ), float(np.max(largest))
+
+
+def _fast(model: RobotModel, motion: SmoothedMotion, revolute: Mask) -> tuple[str, float]:
+    """Return which joint is far too fast, empty if none is, and how many times its limit."""
+    speed = np.percentile(np.abs(motion.qd[:, revolute]), 99.5, axis=0)
+    limits = [joint.limits for joint in model.joints if joint.is_revolute]
+    fastest = np.array([limit.velocity for limit in limits])
+    known = np.isfinite(fastest) & (fastest > 0)
+    ratio = speed / np.where(known, fastest, DEGREES.assumed_speed)
+    k = int(np.argmax(ratio))
+    if not (
+        ratio[k] > DEGREES.speed
+        and np.median(ratio) > DEGREES.median_speed
+        and np.all(ratio * DEGREE < DEGREES.speed_as_degrees)
+    ):
+        return "", 1.0
+    return (
+        f"{_names(model, revolute)[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g} times its"
+        f" limit of {speed[k] / ratio[k]:.4g} rad/s"
+    ), float(ratio[k])
+
+
+def _names(model: RobotModel, chosen: Mask) -> list[str]:
+    return [name for name, each in zip(model.joint_names, chosen, strict=True) if each]
 
 
 def motion_findings(
-    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
+    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None, excess: Excess | None
 ) -> Iterator[Finding]:
     """Find degrees, positions outside limits, joints at rest or in step, and wrong velocities."""
-    degrees = in_degrees(model, recording, motion)
-    if degrees is not None:
-        yield Finding(
-            "degrees",
-            "error",
-            f"the positions look like degrees: {degrees}",
-            Cure('convert them, or write units = { position = "deg" } in a recording sheet'),
-        )
-    else:
-        yield from _limits(model, recording)
-    yield from _still(model, recording, DEGREE if degrees is not None else 1.0)
-    yield from _correlated(recording)
+    velocities: list[Finding] = []
     if motion is not None and motion.logged_qd is not None:
-        yield from velocity_findings(recording, motion, motion.logged_qd)
+        velocities = list(velocity_findings(recording, motion, motion.logged_qd))
+    if excess is None:
+        yield from _limits(model, recording)
+    elif "rate_wrong" not in [each.code for each in velocities]:
+        yield excess.finding(recording.rate)
+    degrees = excess is not None and excess.unit != "rad"
+    yield from _still(model, recording, DEGREE if degrees else 1.0)
+    yield from _correlated(recording)
+    yield from velocities
 
 
 def _limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:

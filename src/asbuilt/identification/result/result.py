@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
-from html import escape
-from typing import TYPE_CHECKING, Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +20,11 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import Finding
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.errors.block_scatter import BlockScatter
 from asbuilt.identification.errors.error_basis import ErrorBasis
@@ -41,10 +44,16 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
 )
 from asbuilt.identification.servo.servo_errors import ServoErrors
-from asbuilt.tables import Column, Shown, Table, rounded
+from asbuilt.identification.statistics import USUAL_LEVEL, confidence_intervals
+from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
+    import polars as pl
+
+FIGURES: Registry[Any] = Registry("figure", "asbuilt.writers.figures.kinds", "asbuilt.figures")
+"""Functions of a result, a prediction or None, and axes or None, that draw and return the axes."""
+SUMMARY = "asbuilt.identification.result.summary"
+"""Module that summarises results; it imports this one for its types, so it is loaded late."""
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
@@ -242,14 +251,8 @@ class IdentificationResult:
         )
 
     def _repr_html_(self) -> str:
-        heads = ("id", "parameter", "unit", "CAD", "as built", "std err")
-        rows = tuple(
-            (p.id, p.expression, p.unit, p.cad, Shown(p.estimate, built), Shown(p.std_error, error))
-            for p in self.parameters
-            for built, error in (rounded(p.estimate, p.std_error),)
-        )
-        table = Table(tuple(map(Column, heads)), rows)
-        return f"<p>{escape(repr(self).strip('<>'))}</p>{table.as_html('parameters')}"
+        screen: str = self.summary()._repr_html_()
+        return screen
 
     @property
     def robot(self) -> str:
@@ -300,6 +303,79 @@ class IdentificationResult:
     def std_errors(self) -> Array:
         """Standard errors, estimated as `errors` says, shape (p,); NaN for dropped parameters."""
         return np.array([parameter.std_error for parameter in self.parameters])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters, in the order of every array of them."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def params(self) -> Array:
+        """The `estimates`, by the name that statsmodels gives them."""
+        return self.estimates
+
+    @property
+    def bse(self) -> Array:
+        """The `std_errors`, by the name that statsmodels gives them."""
+        return self.std_errors
+
+    @property
+    def tvalues(self) -> Array:
+        """Estimates in standard errors, shape (p,); NaN for dropped parameters."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self.estimates / self.std_errors)
+
+    def conf_int(self, level: float = USUAL_LEVEL) -> Array:
+        """Return confidence intervals, shape (p, 2), by Student's distribution.
+
+        Its `degrees_of_freedom` are those of the standard errors. NaN for dropped parameters.
+        Raises `UsageError` unless `level` lies between 0 and 1.
+        """
+        return confidence_intervals(self.estimates, self.std_errors, self.degrees_of_freedom, level)
+
+    def to_frame(self, level: float = USUAL_LEVEL) -> pl.DataFrame:
+        """Return a polars frame with a row per base parameter.
+
+        Its columns are the fields of `IdentifiedParameter`, `t_value`, and the ends `lower` and
+        `upper` of the confidence interval of this level.
+        """
+        import polars as pl  # noqa: PLC0415 - slow
+
+        lower, upper = self.conf_int(level).T
+        return pl.DataFrame([asdict(each) for each in self.parameters]).with_columns(
+            t_value=self.tvalues, lower=lower, upper=upper
+        )
+
+    def summary(self) -> Any:
+        """Summarise the result as text, HTML or CSV: the `Summary` of `summarise`."""
+        return import_module(SUMMARY).summarise(self)
+
+    def plot(self, kind: str = "parameters", of: Any = None, axes: Any = None) -> Array:
+        """Draw a figure with matplotlib.
+
+        Parameters
+        ----------
+        kind
+            `"parameters"`: as built less CAD, with confidence intervals; of a recording `"torque"`,
+            measured and predicted, or `"residuals"`.
+        of
+            A recording, samples, or a prediction of one.
+        axes
+            Axes to draw on, one per joint, for parameters one; None: those of a new figure.
+
+        Returns
+        -------
+        array of matplotlib axes
+            Their figure is `axes[0].figure`.
+
+        Raises
+        ------
+        UsageError
+            If there is no such figure, no recording, or another number of axes.
+        """
+        prediction = self.predict(of) if isinstance(of, Recording | Samples) else of
+        drawn: Array = FIGURES.find(kind)(self, prediction, axes)
+        return drawn
 
     @property
     def dropped(self) -> NDArray[np.bool_]:
@@ -372,9 +448,50 @@ class IdentificationResult:
             raise UsageError(f"the drive terms {drive} depend on load or position; give q too")
         return self.torque_model.friction(rest if q is None else q, qd, rest)
 
-    def predict(self, samples: Samples) -> Prediction:
-        """Predict the torque of a recording as built, beside the torque measured."""
-        return predict_torque(self.model, self.base, self.estimates, samples)
+    @overload
+    def predict(self, recording: Samples | Recording) -> Prediction: ...
+
+    @overload
+    def predict(self, recording: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array: ...
+
+    def predict(
+        self,
+        recording: Samples | Recording | ArrayLike,
+        qd: ArrayLike | None = None,
+        qdd: ArrayLike | None = None,
+    ) -> Prediction | Array:
+        """Predict torque as built: of a recording, beside the torque measured, or of states.
+
+        Parameters
+        ----------
+        recording
+            Samples, or a recording, which goes through the signal chain of the result; or joint
+            positions [rad or m], shape (n,) or (N, n), with `qd` and `qdd`.
+        qd, qdd
+            Joint velocities and accelerations, as of `torque`.
+
+        Returns
+        -------
+        Prediction or Array
+            Measured and predicted torque of a recording; torques of states [N m or N].
+            `asbuilt.validate` also checks a recording and estimates its delay.
+
+        Raises
+        ------
+        UsageError
+            If positions come without velocities and accelerations.
+        """
+        if isinstance(recording, Recording):
+            recording = prepare_samples(recording, self.chain)
+        if isinstance(recording, Samples):
+            return predict_torque(self.model, self.base, self.estimates, recording)
+        if qd is None or qdd is None:
+            raise UsageError(
+                "predict takes a recording or samples, or positions, velocities and accelerations;"
+                f" got a {type(recording).__name__} alone",
+                cure=Cure("read a file with read_recording first, or give qd and qdd"),
+            )
+        return self.torque(recording, qd, qdd)
 
     def predict_cad(self, samples: Samples) -> Prediction:
         """Predict the torque of a recording by design; unknown CAD values count as zero."""

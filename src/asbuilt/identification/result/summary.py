@@ -80,7 +80,8 @@ class Summary:
         return self.as_text()
 
     def _repr_html_(self) -> str:
-        return self.as_html()
+        """Return the text of one screen for notebooks; `as_html` has everything."""
+        return f"<pre>{html.escape(self.as_text())}</pre>"
 
     def as_text(self, full: bool = False, cure_text: Callable[[Cure], str] = str) -> str:
         """Return the summary in fixed-width characters, lines ending in a newline.

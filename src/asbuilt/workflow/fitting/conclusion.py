@@ -106,7 +106,9 @@ def conclude_study(
         *result.findings,
         *_drive_findings(fits.choice),
         *_check_findings(prepared.checks),
-        *lock_findings(fits.model.locked_joints, fits.model.held_followers),
+        *lock_findings(
+            fits.model.locked_joints, fits.model.held_followers, fits.model.assumed_carriers
+        ),
         *delay_findings(result, prepared.delay, fits.final.delay_shift),
         *further,
         *_validation_findings(fits, train, validations, further),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
@@ -64,36 +65,10 @@ def torque_figure(
         axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
         for k in range(n):
             left, right = axes[k]
-            curves = [measured[:, k], predicted[:, k]] + ([] if cad is None else [cad[:, k]])
-            instants, *thin = thinned(t, *curves, points=POINTS)
-            left.plot(instants, thin[0], color=MEASURED, linewidth=1.5, label="measured")
-            left.plot(
-                instants,
-                thin[1],
-                color=AS_BUILT,
-                linewidth=0.9,
-                linestyle=(0, (4, 1.6)),
-                label=f"predicted, {label}",
-            )
-            left.set_ylabel(f"{broken(names[k], 14)}\n[{kinds[k]}]")
-            differences = [measured[:, k] - curve for curve in curves[1:]]
-            instants, *thin = thinned(t, *differences, points=POINTS)
-            if cad is not None:
-                right.plot(
-                    instants,
-                    thin[1],
-                    color=CAD,
-                    linewidth=0.8,
-                    label=f"CAD, RMS {_rms(differences[1])}",
-                )
-            right.plot(
-                instants,
-                thin[0],
-                color=GREEN,
-                linewidth=0.9,
-                label=f"{label}, RMS {_rms(differences[0])}",
-            )
-            right.axhline(0.0, color=INK, linewidth=0.5)
+            by_cad = None if cad is None else cad[:, k]
+            draw_torque(left, t, measured[:, k], predicted[:, k], label, beside=by_cad)
+            left.set_ylabel(torque_label(names[k], kinds[k]))
+            draw_errors(right, t, measured[:, k], predicted[:, k], label, cad=by_cad)
             low, high = right.get_ylim()
             right.set_ylim(low, high + 0.45 * (high - low))
             right.legend(
@@ -115,6 +90,56 @@ def torque_figure(
         figure.align_ylabels(axes[:, 0])
         headline(figure, title)
     return figure
+
+
+def draw_torque(
+    axis: Axes,
+    t: Array,
+    measured: Array,
+    predicted: Array,
+    label: str = "as built",
+    *,
+    beside: Array | None = None,
+) -> None:
+    """Draw measured and predicted torque (N,), thinned as a curve `beside` them."""
+    curves = [measured, predicted] + ([] if beside is None else [beside])
+    instants, *thin = thinned(t, *curves, points=POINTS)
+    axis.plot(instants, thin[0], color=MEASURED, linewidth=1.5, label="measured")
+    axis.plot(
+        instants,
+        thin[1],
+        color=AS_BUILT,
+        linewidth=0.9,
+        linestyle=(0, (4, 1.6)),
+        label=f"predicted, {label}",
+    )
+
+
+def draw_errors(
+    axis: Axes,
+    t: Array,
+    measured: Array,
+    predicted: Array,
+    label: str = "as built",
+    *,
+    cad: Array | None = None,
+) -> None:
+    """Draw measured less predicted torque (N,), and that of CAD behind it."""
+    differences = [measured - curve for curve in (predicted, cad) if curve is not None]
+    instants, *thin = thinned(t, *differences, points=POINTS)
+    if cad is not None:
+        axis.plot(
+            instants, thin[1], color=CAD, linewidth=0.8, label=f"CAD, RMS {_rms(differences[1])}"
+        )
+    axis.plot(
+        instants, thin[0], color=GREEN, linewidth=0.9, label=f"{label}, RMS {_rms(differences[0])}"
+    )
+    axis.axhline(0.0, color=INK, linewidth=0.5)
+
+
+def torque_label(joint: str, unit: str) -> str:
+    """Return the label of a joint's axis."""
+    return f"{broken(joint, 14)}\n[{unit}]"
 
 
 def _rms(error: ArrayLike) -> str:

@@ -31,7 +31,7 @@ class Card:
 
 def verdict(study: Study) -> tuple[Card, ...]:
     """Return the cards of a study."""
-    said = study.summary.verdict
+    said = study.summary().verdict
     error = share(study.result.train.relative_error)
     refused = (Card("bad", error, "training error", said),) if said else ()
     return (

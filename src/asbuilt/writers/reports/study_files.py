@@ -63,7 +63,7 @@ def study_text(
     `cure_text` writes cures, for an interface that adds the names of its options.
     """
     masses = exported_masses(study.result)
-    parts = [with_masses(study.summary, masses).as_text(full, cure_text)]
+    parts = [with_masses(study.summary(), masses).as_text(full, cure_text)]
     if full and gear_ratios(study.result.model):
         parts.append(
             "Drives at the motor\n"

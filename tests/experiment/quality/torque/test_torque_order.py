@@ -116,3 +116,16 @@ def test_wrists_of_a_real_arm(shared: Path, tmp_path: Path, log: str) -> None:
     assert "joints_swapped" not in codes(recording)
     for pair in ((4, 5), (3, 5), (0, 5)):
         assert "joints_swapped" in codes(swapped(recording, *pair))
+
+
+@pytest.mark.parametrize("robot", ["ur10e", "franka-panda"])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_dead_torque_is_swapped_with_none(robot: str, noise: float) -> None:
+    """Whichever joint it is: a constant is explained by any joint, and noise by none."""
+    model = bundled_robot(robot)
+    for seed in (2, 3):
+        recording = recorded(model, seed, duration=8.0)
+        for k in range(model.n_joints):
+            tau = recording.tau.copy()
+            tau[:, k] = 3.21 + noise * np.random.default_rng(k).standard_normal(len(tau))
+            assert swapped_torques(fit_of(model, replace(recording, tau=tau))) is None

@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.layout import Layout
-from asbuilt.experiment.logs.columns.roles import unit_scale, words_of
+from asbuilt.experiment.logs.columns.roles import unit_scale
 from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet, SheetRange
 from asbuilt.findings import Cure
 
-GRIPPERS = {"gripper", "grippers", "jaw", "jaws", "finger", "fingers"}
-"""Words in the name of a joint that is often logged as a share of its range."""
 _OF_POSITION = ("position", "command")
 _OF_RATE = ("velocity", "acceleration")
 
@@ -36,15 +35,6 @@ def with_open_grippers(table: LogTable) -> LogTable:
         if quantity in _OF_POSITION and names_gripper(joint)
     )
     return replace(table, shares=open_ones)
-
-
-def names_gripper(joint: str) -> bool:
-    """Return whether the name of a joint is that of a gripper.
-
-    >>> [names_gripper(each) for each in ("left_gripper", "Jaw", "wrist_roll")]
-    [True, True, False]
-    """
-    return bool(GRIPPERS & set(words_of(joint)))
 
 
 def with_joint_units(

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.joint_matching import (
+from asbuilt.description.joint_matching import (
     joints_without_label,
     match_joints,
     numbers_in,
+    words_of,
 )
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import (
     Role,
     commanded,
@@ -21,7 +22,6 @@ from asbuilt.experiment.logs.columns.roles import (
     recognise,
     recognise_by_unit,
     unit_scale,
-    words_of,
 )
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import TorqueSource

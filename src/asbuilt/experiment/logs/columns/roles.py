@@ -8,6 +8,8 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from asbuilt.description.joint_matching import WORD, words_of
+
 Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "current", "command"]
 
 _WORDS: dict[str, Quantity] = {
@@ -215,7 +217,6 @@ _UNIT_SUFFIX = re.compile(
     r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma|rpm)(?:_?(?:p|per)?_?(s[2²]?))?"
     r"(?=[_ .]?\d*$)"
 )
-_TOKEN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 
 @dataclass(frozen=True)
@@ -247,11 +248,6 @@ def unit_scale(unit: str) -> float | None:
     return _UNITS.get(numerator.lower())
 
 
-def words_of(name: str) -> list[str]:
-    """Split a name into words and numbers: "jointTorque_1" -> ["joint", "torque", "1"]."""
-    return [word.lower() for word in _TOKEN.findall(name.replace("τ", "tau").replace("θ", "theta"))]
-
-
 def recognise(name: str) -> Role | None:
     """Return the role of a column by its name; None for desired values, temperatures and others.
 
@@ -268,7 +264,7 @@ def recognise(name: str) -> Role | None:
     for start, meant in _RSI.items():
         name = meant + name.removeprefix(start) if name.startswith(start) else name
     bare, index, unit = _without_brackets(name.replace("τ", "tau").replace("θ", "theta"))
-    spans = [(m.group().lower(), m.start(), m.end()) for m in _TOKEN.finditer(bare)]
+    spans = [(m.group().lower(), m.start(), m.end()) for m in WORD.finditer(bare)]
     words = [word for word, _, _ in spans]
     quantity, used = _quantity(words)
     if quantity is None or (set(words) - {words[k] for k in used}) & (_DESIRED | _OTHER):
@@ -379,7 +375,7 @@ def _commanded(name: str, alone: Set[str]) -> Role | None:
     """Return the role of a commanded position; words of `alone` need no quantity beside them."""
     if name.startswith(_RSI_COMMAND):
         name = f"command {_RSI[_RSI_COMMAND]}{name.removeprefix(_RSI_COMMAND)}"
-    spans = list(_TOKEN.finditer(name))
+    spans = list(WORD.finditer(name))
     desired = [m for m in spans if m.group().lower() in _DESIRED - {"error", "err"}]
     if not desired or {m.group().lower() for m in spans} & {"error", "err"}:
         return None

@@ -9,23 +9,19 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.gravity_load import (
+    CLEAR_LOAD,
+    CLEARLY_BETTER,
+    DEGREE,
+    LARGEST_RADIANS,
+    load_matches,
+)
 from asbuilt.experiment.logs.columns.roles import unit_scale
 
-CLEAR_LOAD = 0.5
-"""Correlation with gravity's torque from which a group is taken for torques."""
 NEAR_LOAD = 0.8
 """Share of the best correlation from which groups count alike, in the order of the file: what was
 commanded correlates better than what was measured.
 """
-LARGEST_ANGLE = 400.0
-"""Positions beyond are none, neither in radians nor in degrees."""
-MOST_SAMPLES = 2000
-"""Samples that a guess looks at."""
-DEGREE = np.pi / 180
-LARGEST_RADIANS = 4 * np.pi
-"""Positions beyond are degrees: few axes turn twice either way."""
-CLEARLY_BETTER = 0.1
-"""Correlation with gravity's torque by which positions are rather degrees than radians."""
 DEGREES_PER_RADIAN = 180 / np.pi
 RADIANS_ARE_LESS = DEGREE**0.5
 """Ratio of velocities to the slope of positions in degrees, above which they are degrees too."""
@@ -35,7 +31,18 @@ other."""
 STEPS = {"ns": 2e5, "us": 200.0, "ms": 0.2, "s": -np.inf}
 """Units of time, and the least median step in each: 0.2 s."""
 
-DRAFT = '[columns]\ntime = 1\nposition = "2-7"\ntorque = "8-13"'
+RATES = (5.0, 5000.0)
+"""Rates of logs [Hz]: what velocities give beyond is another unit of theirs."""
+FASTEST = 10.0
+"""Velocities beyond are rather degrees per second [rad/s]."""
+CLOCK_STEPS = (0.99, 0.5)
+"""Share of the steps of a clock that are forward, and of one that does not lead the columns also
+within this of the median step."""
+
+DRAFT = (
+    "[columns]  # an example: the values decide nothing\n"
+    'time = 1\nposition = "2-7"\ntorque = "8-13"'
+)
 """What a sheet looks like, where nothing of it can be guessed."""
 
 
@@ -70,9 +77,9 @@ def suggest_sheet(
     """
     values = list(columns.values())
     places = list(range(1, len(values) + 1)) if numbers is None else list(numbers)
-    time, skipped = _time_and_counters(values)
-    rest = values[skipped:]
-    places_of_rest = places[skipped:]
+    time, others = _time_and_others(values)
+    rest = [values[k] for k in others]
+    places_of_rest = [places[k] for k in others]
     clock = None if time is None else values[time]
     n_joints = _joints_by_derivative(rest, clock) if model is None else model.n_joints
     head = [] if named else ["header = false"]
@@ -80,8 +87,6 @@ def suggest_sheet(
         head.append(f"rate = {rate:g}")
     if not n_joints or len(rest) < 2 * n_joints:
         return "\n".join([*head, DRAFT])
-    if clock is None and rate is None:
-        head.append("rate = 100  # Hz")
     groups = [
         np.column_stack(rest[k : k + n_joints])
         for k in range(0, len(rest) - n_joints + 1, n_joints)
@@ -93,7 +98,7 @@ def suggest_sheet(
     units: dict[str, str] = {}
     if clock is not None and (unit := _time_unit(clock)) != "s":
         units["time"], clock = unit, clock * (unit_scale(unit) or 1.0)
-    t = np.arange(values[0].size) / (rate or 100.0) if clock is None else clock
+    t = np.arange(values[0].size) / (rate or 1.0) if clock is None else clock
     pair = _position_and_command(t, groups)
     kept = [k for k in range(len(groups)) if pair is None or k != pair[1]]
     position, velocity, torques, degrees = _roles(
@@ -103,6 +108,10 @@ def suggest_sheet(
     velocity = None if velocity is None else kept[velocity]
     if degrees:
         units |= dict.fromkeys(["position"] if pair is None else ["position", "command"], "deg")
+    if clock is None and rate is None:
+        found = None if velocity is None else _rate(groups[position], groups[velocity], degrees)
+        t = t / (found or 1.0)
+        head.append("rate = 100  # Hz" if found is None else f"rate = {found:g}  # Hz")
     if velocity is not None:
         units |= _velocity_unit(t, groups[position], groups[velocity], degrees)
     if units:
@@ -125,13 +134,14 @@ def suggest_sheet(
     return "\n".join(lines)
 
 
-def _time_and_counters(values: Sequence[Array]) -> tuple[int | None, int]:
-    """Return which column is time, and how many lead, time and counters of the rows alike."""
-    for k, each in enumerate(values):
-        if _counts_rows(each):
-            continue
-        return (k, k + 1) if _increases(each) else (None, k)
-    return None, len(values)
+def _time_and_others(values: Sequence[Array]) -> tuple[int | None, list[int]]:
+    """Return which column is time, and which are neither time nor counters that lead the others."""
+    leads = next((k for k, each in enumerate(values) if not _counts_rows(each)), len(values))
+    others = list(range(leads, len(values)))
+    if others and _increases(values[leads]):
+        return leads, others[1:]
+    time = next((k for k in others if _ticks(values[k])), None)
+    return time, [k for k in others if k != time]
 
 
 def _counts_rows(values: Array) -> bool:
@@ -234,40 +244,40 @@ def _largest(values: Array) -> float:
 
 
 def _load_matches(model: RobotModel, groups: list[Array], scale: float) -> Array:
-    """Return how each group (column) follows gravity's torques at each group (row) as positions.
-
-    Positions times `scale` are radians. The median magnitude of the correlation over the joints
-    that carry much of the load.
-    """
-    from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
-
-    matches = np.zeros((len(groups), len(groups)))
-    step = max(1, groups[0].shape[0] // MOST_SAMPLES)
-    for i, q in enumerate(groups):
-        rows = q[::step]
-        if not np.all(np.isfinite(rows)) or np.abs(rows).max() > LARGEST_ANGLE:
-            continue
-        load = gravity_torque(model, scale * rows)
-        heavy = np.ptp(load, axis=0) > 0.1 * max(float(np.ptp(load, axis=0).max()), 1e-9)
-        for k, tau in enumerate(groups):
-            if k != i:
-                matches[i, k] = _match(load[:, heavy], tau[::step][:, heavy])
+    """Return how each group (column) follows gravity's torques at each group (row) as positions."""
+    matches = np.stack([load_matches(model, q, groups, scale) for q in groups])
+    np.fill_diagonal(matches, 0.0)
     return matches
 
 
-def _match(wanted: Array, found: Array) -> float:
-    """Return the median magnitude of the correlations of columns."""
-    sizes = []
-    for a, b in zip(wanted.T, found.T, strict=True):
-        ok = np.isfinite(a) & np.isfinite(b)
-        if ok.sum() > 10 and np.std(a[ok]) > 0 and np.std(b[ok]) > 0:
-            sizes.append(abs(float(np.corrcoef(a[ok], b[ok])[0, 1])))
-    return float(np.median(sizes)) if sizes else 0.0
-
-
 def _increases(values: Array) -> bool:
+    """Return whether values rise as times do, which may be set back once or twice."""
     finite = values[np.isfinite(values)]
-    return finite.size > 1 and bool(np.all(np.diff(finite) >= 0)) and finite[-1] > finite[0]
+    forward = np.diff(finite) >= 0
+    return finite.size > 1 and float(np.mean(forward)) >= CLOCK_STEPS[0] and finite[-1] > finite[0]
+
+
+def _ticks(values: Array) -> bool:
+    """Return whether values rise in steps alike, as only times do."""
+    steps = np.diff(values)
+    middle = float(np.median(steps)) if steps.size else 0.0
+    even = np.abs(steps - middle) <= CLOCK_STEPS[1] * middle
+    return middle > 0.0 and float(np.mean(even)) >= CLOCK_STEPS[0]
+
+
+def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
+    """Return the rate [Hz] at which the steps of positions are the velocities; None if none can be.
+
+    Velocities in degrees per second beside positions in radians count as such.
+    """
+    steps = np.gradient(q, axis=0)
+    ok = np.isfinite(steps) & np.isfinite(qd)
+    per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
+    rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
+    if _largest(qd) > FASTEST:
+        rates.reverse()
+    low, high = RATES
+    return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
 
 
 def _position_and_velocity(

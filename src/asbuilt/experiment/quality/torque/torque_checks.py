@@ -16,6 +16,7 @@ from asbuilt.experiment.quality.torque.joint_convention import convention_findin
 from asbuilt.experiment.quality.torque.stand_in import scale_without_masses
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment
 from asbuilt.experiment.quality.torque.torque_order import swapped_torques
+from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
 from asbuilt.findings import Cure, Finding, Severity, joined
 
 
@@ -171,12 +172,7 @@ def _sign_and_scale(
             "error",
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
-            _signs_cure(model, sign, alone)
-            if alone
-            else Cure(
-                "flip the torque sign, or write sign = -1 in a recording sheet",
-                settings={"flip_torque": True},
-            ),
+            _signs_cure(model, sign, alone) if alone else _flip_cure(recording.notes),
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
@@ -249,6 +245,18 @@ def _no_correlation(
         f"no torque of the log correlates with the model's: {correlation[k]:.2f} for"
         f" {model.joint_names[k]}, whose torque should vary by {predicted[k]:.3g} N m",
         Cure("check robot, columns and units, and gravity if the robot hangs or is on a wall"),
+    )
+
+
+def _flip_cure(notes: Collection[str]) -> Cure:
+    """Return the cure of all signs, which may have been flipped already."""
+    if FLIPPED_TWICE in notes:
+        return Cure("keep one of the two flips: sign = -1 in the recording sheet, or that of all")
+    if FLIPPED in notes:
+        return Cure("flip the torque sign back: it was flipped, here or by sign = -1 of the sheet")
+    return Cure(
+        "flip the torque sign, or write sign = -1 in a recording sheet",
+        settings={"flip_torque": True},
     )
 
 

@@ -22,6 +22,9 @@ class SwapThresholds:
     """Fall of the sum from which a swap is decisive: both shares fall to an eighth."""
     floor: float = 1e-3
     """Unexplained share below which a better fit does not count."""
+    each: float = 0.5
+    """Largest unexplained share of each of the two torques, relative to that as logged: a torque
+    that is constant, or noise alone, is explained no better at another joint."""
     rows_per_parameter: int = 3
     """Torques per parameter below which any order is explained."""
     singular: float = 1e-10
@@ -77,7 +80,7 @@ def swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
     found = decisive_change(
         logged,
         swaps(logged),
-        lambda order: float(np.sum(np.log(normal.unexplained(order) + THRESHOLDS.floor))),
+        normal.cost,
         THRESHOLDS.fall,
     )
     if found is None:
@@ -100,6 +103,15 @@ class _NormalEquations:
     power: Array
     spread: Array
     samples: int
+
+    def cost(self, torque_of: tuple[int, ...]) -> float:
+        """Return the sum of logarithms of the unexplained shares, if each torque moved gains."""
+        logged = self.unexplained(tuple(range(len(torque_of)))) + THRESHOLDS.floor
+        shares = self.unexplained(torque_of) + THRESHOLDS.floor
+        moved = [(k, j) for k, j in enumerate(torque_of) if k != j]
+        if any(self.power[j] == 0.0 or shares[k] > THRESHOLDS.each * logged[j] for k, j in moved):
+            return np.inf
+        return float(np.sum(np.log(shares)))
 
     def unexplained(self, torque_of: tuple[int, ...]) -> Array:
         """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""

@@ -11,8 +11,9 @@ import numpy as np
 import polars as pl
 
 from asbuilt.arrays import Array
+from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.joint_units import names_gripper, with_open_grippers
+from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.experiment.logs.sheet import RecordingSheet

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from asbuilt.description.joint_matching import words_of
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.roles import names_command, words_of
+from asbuilt.experiment.logs.columns.roles import names_command
 from asbuilt.experiment.logs.formats.ros.messages import (
     ARRAY,
     CONTROLLER_STATE,

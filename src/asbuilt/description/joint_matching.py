@@ -1,14 +1,32 @@
-"""Matching of columns to joints by name."""
+"""Matching of the columns of logs and motions to joints by name."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.columns.roles import words_of
 from asbuilt.findings import Cure
 
+WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+"""A word or a number of a name."""
 _GENERIC = {"joint", "joints", "jnt", "j", "axis", "link"}
+GRIPPERS = {"gripper", "grippers", "jaw", "jaws", "finger", "fingers"}
+"""Words in the name of a joint that is often logged as a share of its range."""
+
+
+def words_of(name: str) -> list[str]:
+    """Split a name into words and numbers: "jointTorque_1" -> ["joint", "torque", "1"]."""
+    return [word.lower() for word in WORD.findall(name.replace("τ", "tau").replace("θ", "theta"))]
+
+
+def names_gripper(joint: str) -> bool:
+    """Return whether the name of a joint is that of a gripper.
+
+    >>> [names_gripper(each) for each in ("left_gripper", "Jaw", "wrist_roll")]
+    [True, True, False]
+    """
+    return bool(GRIPPERS & set(words_of(joint)))
 
 
 def match_joints(
@@ -17,9 +35,10 @@ def match_joints(
     """Return the position of each joint's label, and notes on what was assumed.
 
     Names are equal if their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a name
-    space. Joints that the robot does not have, such as a gripper's, are left out, unless the labels
-    only count them. If no name fits, labels that count (`lbr_joint_0`, ...) are matched to the
-    robot's joints in numeric order.
+    space; a number alone is a name where both sides only count (`wrist_1_joint` beside
+    `elbow_joint` is no `joint_1`). Joints that the robot does not have, such as a gripper's, are
+    left out, unless the labels only count them. If no name fits, labels that count
+    (`lbr_joint_0`, ...) are matched to the robot's joints in numeric order.
 
     Raises
     ------
@@ -34,20 +53,14 @@ def match_joints(
     """
     if len(labels) > len(joint_names) and numbers_in(labels) is not None:
         raise _misfit(labels, joint_names, source, robot)
+    same_end = _same_end if _both_count(labels, joint_names) else _same_named_end
     for simplify in (_itself, _words, _significant_words):
         keys = [simplify(label) for label in labels]
         wanted = [simplify(name) for name in joint_names]
         order = [keys.index(key) if keys.count(key) == 1 else -1 for key in wanted]
         if min(order) >= 0 and len(set(order)) == len(order):
             return order, _left_out(labels, order, source)
-        ends = [
-            [
-                k
-                for k, key in enumerate(keys)
-                if key and (key[-len(want) :] == want or want[-len(key) :] == key)
-            ]
-            for want in wanted
-        ]
+        ends = [[k for k, key in enumerate(keys) if same_end(key, want)] for want in wanted]
         if all(len(end) == 1 for end in ends) and len({end[0] for end in ends}) == len(joint_names):
             order = [end[0] for end in ends]
             return order, _left_out(labels, order, source)
@@ -86,9 +99,10 @@ def joints_without_label(
     >>> joints_without_label(["elbow", "wrist"], ["elbow_joint", "wrist_joint", "finger_joint"])
     ('finger_joint',)
     """
+    same_end = _same_end if _both_count(labels, joint_names) else _same_named_end
     for simplify in (_itself, _words, _significant_words):
         keys, wanted = [simplify(each) for each in labels], [simplify(each) for each in joint_names]
-        for fits in (_equal, _same_end):
+        for fits in (_equal, same_end):
             found = [[k for k, want in enumerate(wanted) if fits(key, want)] for key in keys]
             named = [each[0] for each in found if len(each) == 1]
             clear = len(set(named)) == len(named) and all(len(each) < 2 for each in found)
@@ -103,6 +117,20 @@ def _equal(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
 
 def _same_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
     return bool(key and want) and (key[-len(want) :] == want or want[-len(key) :] == key)
+
+
+def _same_named_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
+    """Return whether names end alike in more than a number."""
+    shorter = min(key, want, key=len)
+    return _same_end(key, want) and not all(word.isdigit() for word in shorter)
+
+
+def _both_count(labels: Sequence[str], joint_names: Sequence[str]) -> bool:
+    """Return whether the names of both sides differ in a number alone, those of grippers aside."""
+    return all(
+        numbers_in([name for name in names if not names_gripper(name)]) is not None
+        for names in (labels, joint_names)
+    )
 
 
 def _misfit(

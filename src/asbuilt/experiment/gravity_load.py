@@ -1,0 +1,91 @@
+"""Evidence of gravity in torques: whether columns follow its torque at positions in rad or deg."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+
+CLEAR_LOAD = 0.5
+"""Correlation with gravity's torque from which a group is taken for torques."""
+CLEARLY_BETTER = 0.1
+"""Correlation with gravity's torque by which positions are rather degrees than radians."""
+LARGEST_ANGLE = 400.0
+"""Positions beyond are none, neither in radians nor in degrees."""
+LARGEST_RADIANS = 4 * np.pi
+"""Positions beyond are degrees: few axes turn twice either way."""
+MOST_SAMPLES = 2000
+"""Samples that a guess looks at."""
+CLEARLY_EXPLAINED = 0.3
+"""Share of the torques' variance that gravity must explain in the right unit alone."""
+HEAVY = 0.1
+"""Range of gravity's torque, relative to the largest joint's, from which a joint carries load."""
+DEGREE = np.pi / 180
+"""A degree in radians."""
+
+
+def load_matches(model: RobotModel, q: Array, columns: list[Array], scale: float) -> Array:
+    """Return how each of several groups (N, n) follows gravity's torque at `scale * q` (N, n).
+
+    The median magnitude of the correlation over the joints that carry much of the load; 0 where the
+    positions are none.
+    """
+    step, load = _load(model, q, scale)
+    if load is None:
+        return np.zeros(len(columns))
+    heavy = np.ptp(load, axis=0) > HEAVY * max(float(np.ptp(load, axis=0).max()), 1e-9)
+    return np.array([_match(load[:, heavy], tau[::step][:, heavy]) for tau in columns])
+
+
+def unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "deg"] | None:
+    """Return the unit of positions (N, n) that torques (N, n) support, None if neither clearly.
+
+    Gravity's torque at the right positions is most of the torque [N m], with either sign; torques
+    in another unit can only correlate with it.
+    """
+    if not all(joint.is_revolute for joint in model.joints):
+        return None
+    shares = [_explained(model, q, tau, scale) for scale in (1.0, DEGREE)]
+    matches = [load_matches(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
+    for (plain, turned), least, apart in (
+        (shares, CLEARLY_EXPLAINED, CLEARLY_EXPLAINED),
+        (matches, CLEAR_LOAD, CLEARLY_BETTER),
+    ):
+        if max(plain, turned) > least and abs(plain - turned) > apart:
+            return "rad" if plain > turned else "deg"
+    return None
+
+
+def _load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]:
+    """Return gravity's torque at every `step`th row, None where the positions are none."""
+    from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
+
+    step = max(1, q.shape[0] // MOST_SAMPLES)
+    rows = q[::step]
+    if not np.all(np.isfinite(rows)) or np.abs(rows).max() > LARGEST_ANGLE:
+        return step, None
+    return step, gravity_torque(model, scale * rows)
+
+
+def _explained(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
+    """Return the share of the torques' variance that gravity's torque explains, at least 0."""
+    step, load = _load(model, q, scale)
+    if load is None:
+        return 0.0
+    x, y = load - load.mean(axis=0), tau[::step] - tau[::step].mean(axis=0)
+    power = float(np.sum(y**2))
+    rest = min(float(np.sum((y - sign * x) ** 2)) for sign in (1.0, -1.0))
+    return max(0.0, 1.0 - rest / power) if power > 0.0 else 0.0
+
+
+def _match(wanted: Array, found: Array) -> float:
+    """Return the median magnitude of the correlations of columns."""
+    sizes = []
+    for a, b in zip(wanted.T, found.T, strict=True):
+        ok = np.isfinite(a) & np.isfinite(b)
+        if ok.sum() > 10 and np.std(a[ok]) > 0 and np.std(b[ok]) > 0:
+            sizes.append(abs(float(np.corrcoef(a[ok], b[ok])[0, 1])))
+    return float(np.median(sizes)) if sizes else 0.0

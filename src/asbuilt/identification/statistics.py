@@ -1,0 +1,41 @@
+"""Confidence intervals of estimates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import UsageError
+
+USUAL_LEVEL = 0.95
+"""Level of confidence intervals, by convention."""
+
+
+def confidence_intervals(
+    estimates: Array, std_errors: Array, degrees_of_freedom: Array, level: float
+) -> Array:
+    """Return `estimate -+ t std_error` (p, 2), t the quantile of Student's distribution.
+
+    Parameters
+    ----------
+    estimates, std_errors, degrees_of_freedom
+        Of each parameter, (p,); infinite degrees of freedom give the normal distribution.
+    level
+        Probability with which an interval holds the true value.
+
+    Raises
+    ------
+    UsageError
+        If the level is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise UsageError(
+            f"the level of a confidence interval lies between 0 and 1, got {level:g}",
+            value=level,
+            lower=0.0,
+            upper=1.0,
+        )
+    from scipy.stats import t as student  # noqa: PLC0415 - slow
+
+    width = student.ppf(0.5 + 0.5 * level, degrees_of_freedom) * std_errors
+    return np.column_stack([estimates - width, estimates + width])

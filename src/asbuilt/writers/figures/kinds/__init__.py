@@ -1,0 +1,1 @@
+"""Figures that results draw by name; each module registers one."""
