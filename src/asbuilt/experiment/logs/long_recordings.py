@@ -152,6 +152,7 @@ class RecordingStream:
             origin=first.origin,
             provenance=(*first.provenance, note),
             delay=first.delay,
+            slowest=first.slowest,
         )
 
 

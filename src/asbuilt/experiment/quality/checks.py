@@ -35,6 +35,7 @@ from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed
 from asbuilt.experiment.quality.torque.sign_check import unsigned_findings
 from asbuilt.experiment.quality.torque.signal_checks import (
     filter_findings,
+    missing_channel_findings,
     saturation_findings,
     spike_findings,
 )
@@ -278,6 +279,7 @@ def _findings_in_time(
     degrees = in_degrees(model, known, motion) is not None
     revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from motion_findings(model, known, motion)
+    yield from missing_channel_findings(model, known)
     yield from saturation_findings(model, known, closer)
     yield from spike_findings(model, known)
     yield from filter_findings(closer.torques, known.rate)

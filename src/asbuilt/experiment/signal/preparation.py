@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from asbuilt.arrays import Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.differentiation import central_differences
@@ -115,6 +116,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
         plan,
         parts,
         origin,
+        recording.has_torque,
         (*recording.notes, *notes, *chosen, *plan.description()),
     )
     if samples.parallel is not None and samples.n_filtered == 0:
@@ -157,6 +159,7 @@ def stream_samples(
     chain = chain or SignalChain()
     plan: FilterPlan | None = None
     held: Recording | None = None
+    has_torque: Mask | None = None
     low = -np.inf
     origin = np.nan
     for chunk, more in _with_more(recordings):
@@ -164,7 +167,8 @@ def stream_samples(
         held = joined
         if joined.n_samples < SHORTEST and more:
             continue
-        segments, rate, notes = _segments(joined, chain, plan.rate if plan else None)
+        has_torque = joined.has_torque if has_torque is None else has_torque
+        segments, rate, notes = _segments(joined, chain, plan.rate if plan else None, has_torque)
         if plan is None:
             chain, chosen = _resolved(chain, segments, rate, _commanded(joined))
             plan = FilterPlan.of(chain, rate)
@@ -198,20 +202,29 @@ def stream_samples(
                 held = joined.between(segment.t[0] + (after - plan.support - 0.5) / rate, np.inf)
         if parts:
             samples = _assembled(
-                joined, plan, parts, origin, (*joined.notes, *notes, *plan.description())
+                joined,
+                plan,
+                parts,
+                origin,
+                has_torque,
+                (*joined.notes, *notes, *plan.description()),
             )
             if samples.n_filtered:
                 yield samples
 
 
 def _segments(
-    recording: Recording, chain: SignalChain, rate: float | None = None
+    recording: Recording,
+    chain: SignalChain,
+    rate: float | None = None,
+    has_torque: Mask | None = None,
 ) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
     """Return uniform segments; pauses that the filter does not resolve do not divide them.
 
-    Single torques that stand out have the mean of their neighbours.
+    Single torques that stand out have the mean of their neighbours; joints without torque have 0.
     """
     resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
+    recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
     return uniform_segments(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 
 
@@ -311,6 +324,7 @@ def _assembled(
     plan: FilterPlan,
     parts: list[SegmentArrays],
     origin: float,
+    has_torque: Mask,
     provenance: tuple[str, ...],
 ) -> Samples:
     bounds = [0, *np.cumsum([part[0].size for part in parts]).tolist()]
@@ -334,6 +348,7 @@ def _assembled(
         origin=origin,
         provenance=provenance,
         delay=plan.chain.delays,
+        slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
     )
 
 

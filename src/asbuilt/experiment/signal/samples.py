@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.findings import joined
@@ -54,7 +54,7 @@ class Samples:
         Standard errors [s] of delays that were estimated, which those of a fit allow for.
     slowest
         Speed of each joint below which its rows do not count, since the direction of dry friction
-        is unknown; empty: all count.
+        is unknown; infinite for a joint without a torque channel; empty: all count.
 
     Raises
     ------
@@ -134,6 +134,11 @@ class Samples:
     def n_joints(self) -> int:
         """Number of joints."""
         return int(self.q.shape[1])
+
+    @property
+    def has_torque(self) -> Mask:
+        """Which joints have a usable torque channel, shape (n,)."""
+        return np.isfinite(self.slowest or np.zeros(self.n_joints))
 
     @property
     def n_filtered(self) -> int:

@@ -182,7 +182,7 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
                 consistent.weights,
                 _prior_information(information, prior),
                 motion,
-                effect * free_energy / (information.n_samples * information.n_joints),
+                effect * free_energy / information.n_rows,
             ),
         )
 
@@ -380,7 +380,8 @@ def _joined(information: SquareRootInformation, fit: Estimate, free: Estimate) -
         np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)),
         quietest_noise(information),
     )
-    rise = float(np.sqrt(np.mean(information.residual_energy(fit.beta) / n / sigma**2))) - 1.0
+    ratio = (information.residual_energy(fit.beta) / n / sigma**2)[information.has_torque]
+    rise = float(np.sqrt(np.mean(ratio))) - 1.0
     if rise <= RULES.costly:
         return fit
     finding = Finding(

@@ -206,9 +206,13 @@ def fit_toward_cad(
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:
-    """Return the least noise (n,): `QUIETEST` of the torque RMS, `noise_floor` without torque."""
+    """Return the least noise (n,): `QUIETEST` of the torque RMS, `noise_floor` of torques of 0.
+
+    It is infinite for joints without torque.
+    """
     rms = np.sqrt(information.torque_energy / information.n_samples)
-    return np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
+    least = np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
+    return np.where(information.has_torque, least, np.inf)
 
 
 def _joint_weights(
@@ -271,7 +275,7 @@ def _estimate(
         chi,
         WEAKEST_BELIEF if prior_weight <= TINY_WEIGHT else prior_weight,
     )
-    n_rows = information.n_samples * information.n_joints
+    n_rows = information.n_rows
     factor = information.stacked(weights)
     error = factor @ np.append(-beta, 1.0)
     energy = float(error @ error)

@@ -93,7 +93,7 @@ class Weighted:
     ) -> Weighted:
         """Decompose the information of all joints, joint k multiplied by `weights[k]`."""
         return cls.factored(
-            information.stacked(weights), information.n_samples * information.n_joints, toward
+            information.stacked(weights), information.n_rows, toward
         )
 
     def solve(self, ridge: float = 0.0) -> FactorSolution:
