@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.running_statistics import IN_STEP
@@ -16,6 +17,8 @@ from asbuilt.findings import Cure, Finding, joined
 
 DEGREE = np.pi / 180
 """A degree in radians."""
+MILLIMETRE = 1e-3
+"""A millimetre in metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +100,33 @@ def motion_findings(
             Cure('convert them, or write units = { position = "deg" } in a recording sheet'),
         )
     else:
+        yield from _in_millimetres(model, recording)
         yield from _limits(model, recording)
     yield from _still(model, recording, DEGREE if degrees is not None else 1.0)
     yield from _correlated(recording)
     if motion is not None and motion.logged_qd is not None:
         yield from velocity_findings(recording, motion, motion.logged_qd)
+
+
+def _in_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+    """Find sliding joints that are far outside their limits, and inside them as millimetres."""
+    for k, joint in enumerate(model.joints):
+        bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
+        bound = bound if np.isfinite(bound) else stretched_length(model)
+        low, high = recording.position_range.low[k], recording.position_range.high[k]
+        furthest = float(max(abs(low), abs(high)))
+        within = furthest * MILLIMETRE < DEGREES.as_degrees * bound
+        if joint.is_revolute or not (furthest > DEGREES.position * bound and within):
+            continue
+        yield Finding(
+            "millimetres",
+            "error",
+            f"the positions of {joint.name} look like millimetres: it slides to {furthest:.4g},"
+            f" {furthest / bound:.3g} times its limit of {bound:.4g} m, and as millimetres it"
+            " keeps it",
+            Cure(f'write [joint_units] {joint.name} = "mm" in a recording sheet'),
+            joint=joint.name,
+        )
 
 
 def _limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure
@@ -81,8 +81,8 @@ def fit_least_squares(
             " per joint"
         )
     seen = information.has_torque
-    given = np.ones(n) if weights is None or isinstance(weights, str) else np.asarray(weights)
-    w = np.where(seen, positive_weights(np.where(seen, given, 1.0), n), 0.0)
+    given = np.ones(n) if weights is None or isinstance(weights, str) else weights
+    w = np.where(seen, positive_weights(given, seen), 0.0)
     iterations, converged, ahead = 0, True, _Extrapolation()
     with one_blas_thread():
         while True:
@@ -189,9 +189,9 @@ def _refusal(information: SquareRootInformation, solution: FactorSolution) -> Id
     )
 
 
-def positive_weights(weights: ArrayLike, n: int) -> Array:
-    """Return weights of n joints as an array; raises `UsageError` unless n positive numbers."""
-    w = np.asarray(weights, dtype=np.float64)
-    if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w <= 0):
+def positive_weights(weights: ArrayLike, seen: Mask) -> Array:
+    """Return weights of n joints as an array, positive where `seen` (n,); else `UsageError`."""
+    w, n = np.asarray(weights, dtype=np.float64), len(seen)
+    if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w[seen] <= 0):
         raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")
     return w

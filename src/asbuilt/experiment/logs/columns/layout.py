@@ -43,7 +43,7 @@ class Layout:
     """Columns of each quantity in joint order, and the factor of each column to SI.
 
     `quantities` has position, torque or command, and velocity, acceleration, and extras such as
-    `tau_ext` where the log has them. `nanoseconds` is a column to add to the time, `offsets` are
+    `tau_ext` where the log has them. A joint without a torque column has "" in its place. `nanoseconds` is a column to add to the time, `offsets` are
     added to columns in SI.
     """
 
@@ -59,7 +59,7 @@ class Layout:
     @property
     def columns(self) -> list[str]:
         """Every column that is needed, each once."""
-        names = [name for group in self.quantities.values() for name in group]
+        names = [name for group in self.quantities.values() for name in group if name]
         times = [each for each in (self.time, self.nanoseconds) if each]
         return list(dict.fromkeys([*times, *names]))
 
@@ -136,6 +136,11 @@ def find_layout(
         if quantity in sheet.columns.extra and len(group.names) == 1:
             ordered[quantity] = (group.names[0],) * len(labels)
             continue
+        if quantity == "torque" and sheet.columns.torque is None:
+            some = _of_some_joints(group, position)
+            if some is not None:
+                ordered[quantity] = some
+                continue
         try:
             ordered[quantity] = _aligned(source, quantity, group, labels, sheet)
         except RecordingError:
@@ -269,14 +274,14 @@ def _goals(
     goals = [(name, role) for name in names if (role := goal_of_position(name)) is not None]
     group = _Group([name for name, _ in goals], [role for _, role in goals])
     _count_by_index(group)
-    if not goals or _places(group) != _places(position):
+    if not goals or sorted(_places(group)) != sorted(_places(position)):
         return {}
     return {("command", ""): group}
 
 
 def _places(group: _Group) -> list[tuple[str, int]]:
-    """Return which joint each column belongs to, by name or else by number, sorted."""
-    return sorted((role.joint, -1 if role.joint else role.index or 0) for role in group.roles)
+    """Return which joint each column belongs to, by name or else by number."""
+    return [(role.joint, -1 if role.joint else role.index or 0) for role in group.roles]
 
 
 def _groups_by_unit(
@@ -469,6 +474,18 @@ def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
                 file=source,
                 available=group.names,
             )
+
+
+def _of_some_joints(group: _Group, position: _Group) -> tuple[str, ...] | None:
+    """Return the columns in the order of the positions, "" for joints that have none.
+
+    None where every joint has one, or the names do not say which joint each belongs to.
+    """
+    own = dict(zip(_places(group), group.names, strict=True))
+    places = _places(position)
+    if len(own) < len(group.names) or not set(own) < set(places):
+        return None
+    return tuple(own.get(place, "") for place in places)
 
 
 def _aligned(
