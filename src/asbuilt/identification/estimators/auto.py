@@ -19,7 +19,8 @@ from asbuilt.identification.bodies.consistency import (
     margin_is_consistent,
     non_passive_drives,
 )
-from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE, Coordinates
+from asbuilt.identification.bodies.drive_prior import with_drive_rows, with_drive_scale
+from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
@@ -41,6 +42,7 @@ from asbuilt.identification.information.candidate_choice import (
 )
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.held_out import different_motions, folds
 from asbuilt.identification.information.random_motion import (
     random_motion_rows,
@@ -151,11 +153,10 @@ class _Candidates:
 
 def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the chosen candidate, why it was chosen, and notes."""
-    information, prior = (
-        free.information or data.information,
-        cad_prior(data.model, data.base.drive),
-    )
+    information = free.information or data.information
+    prior = with_drive_scale(cad_prior(data.model, data.base.drive), information)
     with one_blas_thread():
+        free = _with_drive_prior(information, free, prior)
         try:
             consistent = fit_consistent(information, prior)
         except AsbuiltError as problem:
@@ -187,6 +188,28 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
         )
 
 
+def _with_drive_prior(
+    information: SquareRootInformation, free: Estimate, prior: CadPrior
+) -> Estimate:
+    """Return least squares with the prior of drive parameters, alike where they are determined."""
+    solved = solve_factor(
+        with_drive_rows(information.stacked(free.weights), information.base, prior),
+        information.n_rows,
+        information.base.regrouping @ prior.parameters,
+    )
+    of_data = replace(
+        solved,
+        rank=free.rank,
+        open_directions=free.solution.open_directions,
+        singular_values=free.solution.singular_values,
+        condition_number=free.solution.condition_number,
+        scaled_condition_number=free.solution.scaled_condition_number,
+    )
+    return free.renewed(
+        free.method, information, of_data, own_information=free.information, notes=free.notes
+    )
+
+
 def _design_effect(information: SquareRootInformation, estimate: Estimate) -> float:
     """Return samples per independent sample of the residuals' noise.
 
@@ -206,7 +229,7 @@ def _prior_information(information: SquareRootInformation, prior: CadPrior) -> A
     links = regrouping[:, :inertial].reshape(-1, prior.n_links, 10)
     covariance = np.einsum("pia,iab,qib->pq", links, np.linalg.inv(prior.metric), links)
     drives = regrouping[:, inertial:] * prior.drive_scale
-    covariance += drives @ drives.T / DRIVE_RIDGE
+    covariance += drives @ drives.T / prior.drive_weight
     size = np.sqrt(np.diag(covariance))
     return np.asarray(np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size))
 
@@ -257,7 +280,11 @@ def _candidates(
         0.0,
         lambda: np.array(
             [
-                fit_least_squares(training, weights=of_joints, prior=K @ prior.parameters).beta
+                _with_drive_prior(
+                    training,
+                    fit_least_squares(training, weights=of_joints, prior=K @ prior.parameters),
+                    prior,
+                ).beta
                 for training, _ in parts
             ]
         ),

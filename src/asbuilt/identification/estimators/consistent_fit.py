@@ -19,7 +19,8 @@ from asbuilt.identification.bodies.body_bounds import (
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, cad_prior
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
-from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE, Coordinates
+from asbuilt.identification.bodies.drive_prior import with_drive_scale
+from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
@@ -108,7 +109,7 @@ def estimate_euclidean(data: EstimationData) -> ConsistentEstimate:
 def _prior(data: EstimationData) -> CadPrior:
     if data.undetermined == "refuse":
         fit_least_squares(data.information, undetermined="refuse")
-    return cad_prior(data.model, data.base.drive)
+    return with_drive_scale(cad_prior(data.model, data.base.drive), data.information)
 
 
 def fit_consistent(
@@ -338,7 +339,7 @@ def _stacked(
     halfway = 0.5 * (prior.parameters[:inertial] + chi[:inertial])
     roots = body_metric_root(halfway, prior.strength)
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
-    drives = np.sqrt(DRIVE_RIDGE) / prior.drive_scale[:, None] * free[inertial:]
+    drives = np.sqrt(prior.drive_weight) / prior.drive_scale[:, None] * free[inertial:]
     known = _known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
     data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
