@@ -60,8 +60,7 @@ def build_recording(
     else:
         t = np.arange(first_sample, first_sample + table.n_samples, dtype=np.float64) / rate
     arrays = {
-        quantity: _stacked(table, names, layout)
-        for quantity, names in layout.quantities.items()
+        quantity: _stacked(table, names, layout) for quantity, names in layout.quantities.items()
     }
     q, command = arrays.pop("position"), arrays.pop("command", None)
     tau = arrays.pop("torque", None)

@@ -12,6 +12,9 @@ from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 
+USUAL_DESIGN_EFFECT = 10.0
+"""Samples per independent sample: the median of 14 recordings of four robots."""
+
 
 def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> CadPrior:
     """Return a prior whose drive parameters are normal about CAD or zero, at a scale of their own.
@@ -21,7 +24,7 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
     the whole torque of its joint in motion as fast as the robot's. Friction and armature are less,
     so a parameter that the data determine keeps its value; one of a joint that hardly moves, whose
     own column is small, stays next to zero. A larger CAD value is the scale itself; joints without
-    torque have that of the largest torque.
+    torque have that of the largest torque. Like CAD's, the weight is that of independent samples.
     """
     links, n = 10 * prior.n_links, information.n_joints
     torque = np.sqrt(information.torque_energy / information.n_samples)
@@ -32,7 +35,9 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
     whole = np.divide(torque[:, None], typical, out=np.zeros_like(energy), where=typical > 0.0)
     scale = np.maximum(whole.reshape(-1), np.abs(prior.parameters[links:]))
     return replace(
-        prior, drive_scale=np.where(scale > 0.0, scale, prior.drive_scale), drive_weight=1.0
+        prior,
+        drive_scale=np.where(scale > 0.0, scale, prior.drive_scale),
+        drive_weight=USUAL_DESIGN_EFFECT,
     )
 
 

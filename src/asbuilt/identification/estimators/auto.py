@@ -19,7 +19,11 @@ from asbuilt.identification.bodies.consistency import (
     margin_is_consistent,
     non_passive_drives,
 )
-from asbuilt.identification.bodies.drive_prior import with_drive_rows, with_drive_scale
+from asbuilt.identification.bodies.drive_prior import (
+    USUAL_DESIGN_EFFECT,
+    with_drive_rows,
+    with_drive_scale,
+)
 from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, block_uncertainty
@@ -66,9 +70,8 @@ class SelectionRules:
     beliefs: tuple[float, ...] = (STRONGEST_BELIEF, 10.0, 10**0.5, 1.0)
     """Weights of CAD tried, times the design effect, so that samples count as often as they are
     independent. At 1 links lie within a factor of about e of CAD."""
-    design_effect: float = 10.0
-    """Samples per independent sample where the blocks are too few to estimate it: the median of
-    14 recordings of four robots."""
+    design_effect: float = USUAL_DESIGN_EFFECT
+    """Samples per independent sample where the blocks are too few to estimate it."""
     costly: float = 0.05
     """Rise of the torque error by a consistent fit beyond that of its lost degrees of freedom."""
 

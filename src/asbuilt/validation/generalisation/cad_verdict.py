@@ -144,7 +144,13 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
         )
     )
     whole = _verdict(
-        "all", "of CAD's", 1.0, float(np.sqrt(np.mean(relative[seen] ** 2))), sigmas[-1], p[-1], p[-1]
+        "all",
+        "of CAD's",
+        1.0,
+        float(np.sqrt(np.mean(relative[seen] ** 2))),
+        sigmas[-1],
+        p[-1],
+        p[-1],
     )
     return PredictionVerdict(recording_name(validation.source), int(block[-1]) + 1, whole, joints)
 

@@ -25,7 +25,7 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ill_conditioned": ("poorly_determined",),
         "few_blocks": ("poorly_determined",),
         "joints_correlated": ("poorly_determined",),
-            "link_mass_differs": ("base_tilt",),
+        "link_mass_differs": ("base_tilt",),
         "not_excited": ("joint_without_torque",),
     }
 )
