@@ -111,7 +111,8 @@ def test_good_joints_are_predicted_and_the_dead_one_is_unknown(
     seen, wanted = (validate_samples(each, whole).metrics_as_built for each in (result, reference))
     assert np.all(seen.rms[good] < 1.1 * wanted.rms[good])
     unseen = validate_samples(result, dead).metrics_as_built
-    assert np.isnan(unseen.rms[DEAD]) and np.isfinite(unseen.relative_error)
+    assert np.isnan(unseen.rms[DEAD])
+    assert np.isfinite(unseen.relative_error)
     again = IdentificationResult.from_json(result.to_json())
     np.testing.assert_array_equal(again.sigma, result.sigma)
     assert np.isinf(again.sigma[DEAD])
@@ -125,8 +126,9 @@ def test_one_warning_names_the_joint_the_value_and_the_cure(recording: Recording
         (found,) = [
             each for each in check_recording(model, dead).findings if each.severity != "info"
         ]
-        assert found.code == "joint_without_torque" and found.joint == name
-        assert said in found.message and "columns" in str(found.cure)
+        assert (found.code, found.joint) == ("joint_without_torque", name)
+        assert said in found.message
+        assert "columns" in str(found.cure)
 
 
 def test_a_joint_at_rest_with_a_constant_torque_has_a_channel() -> None:

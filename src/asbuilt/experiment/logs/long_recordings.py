@@ -153,6 +153,7 @@ class RecordingStream:
             provenance=(*first.provenance, note),
             delay=first.delay,
             slowest=first.slowest,
+            clock_bound=first.clock_bound,
         )
 
 

@@ -17,6 +17,7 @@ from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.command_checks import command_findings
 from asbuilt.experiment.quality.coupling_checks import coupling_findings
+from asbuilt.experiment.quality.encoder_checks import encoder_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import (
     FirstPass,
@@ -253,6 +254,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
+        findings += encoder_findings(model, beginning)
         findings += coupling_findings(model, beginning)
     findings += lock_findings(model.locked_joints, model.held_followers)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)

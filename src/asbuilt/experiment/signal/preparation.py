@@ -89,7 +89,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     chain = chain or SignalChain()
     segments, rate, notes = _segments(recording, chain)
     is_open = chain.cutoff is None
-    chain, chosen = _resolved(chain, segments, rate, _commanded(recording))
+    chain, chosen, verdict = _resolved(chain, segments, rate, _commanded(recording))
     if is_open:
         segments, rate, notes = _segments(recording, chain)
     plan, origin = FilterPlan.of(chain, rate), float(segments[0].t[0])
@@ -117,6 +117,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
         parts,
         origin,
         recording.has_torque,
+        verdict,
         (*recording.notes, *notes, *chosen, *plan.description()),
     )
     if samples.parallel is not None and samples.n_filtered == 0:
@@ -160,6 +161,7 @@ def stream_samples(
     plan: FilterPlan | None = None
     held: Recording | None = None
     has_torque: Mask | None = None
+    verdict: VelocityVerdict | None = None
     low = -np.inf
     origin = np.nan
     for chunk, more in _with_more(recordings):
@@ -170,7 +172,7 @@ def stream_samples(
         has_torque = joined.has_torque if has_torque is None else has_torque
         segments, rate, notes = _segments(joined, chain, plan.rate if plan else None, has_torque)
         if plan is None:
-            chain, chosen = _resolved(chain, segments, rate, _commanded(joined))
+            chain, chosen, verdict = _resolved(chain, segments, rate, _commanded(joined))
             plan = FilterPlan.of(chain, rate)
             if plan.parallel is None and plan.thinning > 1:
                 raise UsageError(
@@ -207,6 +209,7 @@ def stream_samples(
                 parts,
                 origin,
                 has_torque,
+                verdict,
                 (*joined.notes, *notes, *plan.description()),
             )
             if samples.n_filtered:
@@ -238,8 +241,9 @@ def _resolved(
     segments: Sequence[UniformSegment],
     rate: float,
     commanded: bool = False,
-) -> tuple[SignalChain, tuple[str, ...]]:
+) -> tuple[SignalChain, tuple[str, ...], VelocityVerdict | None]:
     notes: list[str] = []
+    verdict: VelocityVerdict | None = None
     if rate < SLOWEST_RATE:
         raise RecordingError(
             f"a sampling rate of {rate:.3g} Hz is too low to differentiate positions; at least"
@@ -284,7 +288,7 @@ def _resolved(
         if fitting:
             motions = [plan.motion(segment)[:2] for segment in fitting]
             chain = replace(chain, standstill=standstill_speeds(motions, chain.cutoff or 0.0))
-    return chain, tuple(notes)
+    return chain, tuple(notes), verdict
 
 
 def _advanced(
@@ -325,6 +329,7 @@ def _assembled(
     parts: list[SegmentArrays],
     origin: float,
     has_torque: Mask,
+    verdict: VelocityVerdict | None,
     provenance: tuple[str, ...],
 ) -> Samples:
     bounds = [0, *np.cumsum([part[0].size for part in parts]).tolist()]
@@ -349,6 +354,7 @@ def _assembled(
         provenance=provenance,
         delay=plan.chain.delays,
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
+        clock_bound=np.inf if verdict is None else verdict.clock_bound,
     )
 
 

@@ -52,6 +52,8 @@ class Samples:
         Delays [s] by which the torque was shifted back, one for all joints or each; empty: none.
     delay_errors
         Standard errors [s] of delays that were estimated, which those of a fit allow for.
+    clock_bound
+        Largest error of the clock, as a share, that logged velocities admit; infinite without them.
     slowest
         Speed of each joint below which its rows do not count, since the direction of dry friction
         is unknown; infinite for a joint without a torque channel; empty: all count.
@@ -88,6 +90,7 @@ class Samples:
     delay: tuple[float, ...] = ()
     delay_errors: tuple[float, ...] = ()
     slowest: tuple[float, ...] = ()
+    clock_bound: float = np.inf
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)

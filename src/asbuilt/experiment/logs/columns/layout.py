@@ -35,6 +35,8 @@ _SYMBOLS = {
     "tau": "torque",
     "q_command": "command",
 }
+ENCODERS = {"motor": "q_motor", "link": "q_link"}
+"""Positions of a second encoder of each joint, by the side of the drive train that it is on."""
 _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
 
 
@@ -43,8 +45,8 @@ class Layout:
     """Columns of each quantity in joint order, and the factor of each column to SI.
 
     `quantities` has position, torque or command, and velocity, acceleration, and extras such as
-    `tau_ext` where the log has them. A joint without a torque column has "" in its place. `nanoseconds` is a column to add to the time, `offsets` are
-    added to columns in SI.
+    `tau_ext` where the log has them. A joint without a torque column has "" in its place.
+    `nanoseconds` is a column to add to the time, `offsets` are added to columns in SI.
     """
 
     time: str | None
@@ -99,6 +101,12 @@ def find_layout(
         listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
         if listed is not None:
             groups[quantity, ""] = _listed(source, names, order, quantity, listed, sheet)
+    for side, columns in (
+        ("motor", sheet.columns.motor_position),
+        ("link", sheet.columns.link_position),
+    ):
+        if columns is not None:
+            groups["position", side] = _listed(source, names, order, "position", columns, sheet)
     for key, columns in sheet.columns.extra.items():
         groups[key, "sheet"] = _listed(source, names, order, key, columns, sheet)
     position = groups.get(("position", ""))
@@ -178,7 +186,8 @@ def _chosen(
         if kind in ("", "sheet"):
             chosen[quantity] = group
         elif kind != "unscaled":
-            chosen[_EXTRA_TORQUES[kind] if quantity == "torque" else f"{quantity}_{kind}"] = group
+            of_torque = _EXTRA_TORQUES if quantity == "torque" else ENCODERS
+            chosen[of_torque.get(kind, f"{quantity}_{kind}")] = group
     return chosen
 
 
@@ -250,7 +259,27 @@ def _group(
         group.roles.append(role)
     for group in groups.values():
         _count_by_index(group)
+    groups = _with_two_encoders(groups)
     return {**_groups_by_unit(names, groups), **_goals(names, groups), **groups}
+
+
+def _with_two_encoders(groups: dict[tuple[str, str], _Group]) -> dict[tuple[str, str], _Group]:
+    """Return groups in which motor positions are the positions, and link positions a second set.
+
+    Only where the others are called those of links; a log with positions of motors alone has no
+    others.
+    """
+    motor, other = groups.get(("position", "motor")), groups.get(("position", ""))
+    if motor is None:
+        return groups
+    rest = {key: each for key, each in groups.items() if key[0] != "position"}
+    if other is None:
+        return {**rest, ("position", ""): motor}
+    labels = [words_of(role.joint) for role in other.roles]
+    if not all(words[:1] == ["link"] for words in labels):
+        return groups
+    other.roles = [replace(role, joint="") for role in other.roles]
+    return {**rest, ("position", ""): motor, ("position", "link"): other}
 
 
 def _count_by_index(group: _Group) -> None:
@@ -593,7 +622,8 @@ def _scales(
 ) -> dict[str, float]:
     scales: dict[str, float] = {}
     for quantity, group in chosen.items():
-        unit = getattr(sheet.units, quantity, None)
+        of_position = quantity in ENCODERS.values()
+        unit = getattr(sheet.units, "position" if of_position else quantity, None)
         if quantity == "command" and unit is None and not any(role.unit for role in group.roles):
             unit = sheet.units.position
         for name, role in zip(group.names, group.roles, strict=True):

@@ -75,8 +75,8 @@ def torque_findings(
         yield Finding(
             "no_torque",
             "error",
-            f"the torques are constant: that of the first joint is {recording.first_torque[0]:.4g} in"
-            f" {recording.n_samples} samples",
+            "the torques are constant: that of the first joint is"
+            f" {recording.first_torque[0]:.4g} in {recording.n_samples} samples",
             Cure("log the measured joint torques or motor currents"),
         )
         return
