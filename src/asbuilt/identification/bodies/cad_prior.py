@@ -225,6 +225,8 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             chi[10 * i : 10 * i + 10] = LinkInertia.from_com(
                 mass, com, np.trace(S) * np.eye(3) - S
             ).parameters
+    if np.all(masses == 0.0):
+        notes = [f"No link has a mass in CAD; {chi[9]:.3g} kg assumed for each"]
     return CadPrior(
         robot=model.name,
         names=parameter_names(model, drive),

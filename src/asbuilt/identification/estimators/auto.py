@@ -77,6 +77,7 @@ class SelectionRules:
 
 
 RULES = SelectionRules()
+SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
 CURE = Cure(
     "look for an effect that the description lacks: base tilt, further friction, a tool on the"
     " flange",
@@ -179,6 +180,7 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
             information,
             free,
             candidates,
+            masses,
             lambda: choose_candidate(
                 candidates.known,
                 parts,
@@ -326,6 +328,7 @@ def _chosen(
     information: SquareRootInformation,
     free: Estimate,
     candidates: _Candidates,
+    masses: bool,
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
@@ -344,17 +347,19 @@ def _chosen(
     why = f"{choice.candidates[choice.chosen].name} predicts other motions best"
     if choice.chosen != choice.best:
         why = (
-            f"{choice.candidates[choice.chosen].name} is closest to CAD of those that predict other"
-            " motions as well as the best within one standard error"
+            f"{choice.candidates[choice.chosen].name} is"
+            f" {'closest to CAD' if masses else 'the first consistent one'} of those that predict"
+            " other motions as well as the best within one standard error"
         )
         error += f", of the best, {choice.sentence(choice.best)}"
     if fit is not free:
         error += f", of {choice.sentence(len(choice.candidates) - 1)}"
+    beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += (
-        f" (squared error in noise variances on {n_folds} groups of held-out time blocks + expected"
-        f" beyond them: of {error})"
+        f" (squared error in noise variances on {n_folds} groups of held-out time blocks{beyond}:"
+        f" of {error})"
     )
-    notes = (choice.motion_note, *_failures(candidates))
+    notes = (choice.motion_note, *_failures(candidates), *(() if masses else (SCALE_OF_TORQUE,)))
     if fit is not free:
         return _joined(information, fit, free), why, notes
     if _is_consistent(information, free):

@@ -284,6 +284,7 @@ def _estimate(
         free.solution, x=beta, inverse_root=root, residual_energy=energy
     )
     part = float(prior.relative_eigenvalues(chi).min())
+    known = "CAD" if np.any(prior.strength == 1.0) else "the bodies assumed"
     return ConsistentEstimate(
         method=method,
         beta=beta,
@@ -297,8 +298,9 @@ def _estimate(
         converged=True,
         notes=(
             *notes,
-            f"Every link is physically consistent, its pseudo-inertia at least {part:.2g} of CAD",
-            f"Standard errors use CAD with weight {belief:.3g}",
+            f"Every link is physically consistent, its pseudo-inertia at least {part:.2g} of"
+            f" {known}",
+            f"Standard errors use {known} with weight {belief:.3g}",
             *prior.notes,
         ),
         refit=lambda factor: base.regrouping @ again(factor),

@@ -32,10 +32,10 @@ def estimate_ridge(data: EstimationData) -> Estimate:
     """Minimise `|(tau - W beta) / sigma|^2 + lambda |D (beta - beta_CAD)|^2`.
 
     D holds the lengths of the weighted columns, the prior of drives included. lambda minimises the
-    squared error on groups of neighbouring time blocks held out in turn, and may be zero. Parameters without a CAD value are
-    regularised toward zero, and those of drives have a scale too (`with_drive_scale`): without it
-    a column that is short, of a joint that hardly moves, would hardly be regularised. Source: Hoerl
-    & Kennard, Technometrics 12, 1970.
+    squared error on groups of neighbouring time blocks held out in turn, and may be zero.
+    Parameters without a CAD value are regularised toward zero, and those of drives have a scale too
+    (`with_drive_scale`): without it a column that is short, of a joint that hardly moves, would
+    hardly be regularised. Source: Hoerl & Kennard, Technometrics 12, 1970.
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
