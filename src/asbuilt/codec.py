@@ -159,9 +159,10 @@ def _array(value: Any, number: Any, missing: float = math.nan) -> Any:
         raise TypeError("expected an array of numbers")
     if found.dtype.kind == "f" and not np.all(np.isfinite(found)):
         raise ValueError("expected finite numbers")
+    array = np.array(value, dtype=number)
     if found.dtype == object:
-        found = np.where(np.equal(found, None), missing, found)
-    return found.astype(number)
+        array[np.isnan(array)] = missing
+    return array
 
 
 def _is_numeric(found: Any) -> bool:

@@ -179,3 +179,17 @@ def test_an_absent_column_of_a_real_arm_leaves_the_others(shared: Path, tmp_path
     study = identify(model, read)
     assert study.findings[0].joint == model.joint_names[1]
     assert np.isfinite(study.result.train.relative_error)
+
+
+def test_a_sliding_joint_in_millimetres_is_named_with_its_cure() -> None:
+    model = load_robot("scara")
+    k = next(k for k, joint in enumerate(model.joints) if not joint.is_revolute)
+    motion = random_fourier(model, rng=2, duration=10.0)
+    log = simulate_recording(model, motion, rate=100.0, rng=2)
+    q = np.array(log.q)
+    q[:, k] *= 1e3
+    wrong = replace(log, q=q, qd=None, qdd=None)
+    (found,) = [each for each in check_recording(model, wrong).errors if each.code == "millimetres"]
+    assert found.joint == model.joint_names[k]
+    assert f'[joint_units] {found.joint} = "mm"' in str(found.cure)
+    assert "millimetres" not in check_recording(model, log).codes

@@ -16,8 +16,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.command_checks import command_findings
-from asbuilt.experiment.quality.coupling_checks import coupling_findings
-from asbuilt.experiment.quality.encoder_checks import encoder_findings
+from asbuilt.experiment.quality.coupling_checks import coupling_findings, encoder_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import (
     FirstPass,
