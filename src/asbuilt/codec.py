@@ -134,7 +134,7 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
         return value
     if origin is np.ndarray:
         (number,) = get_args(arguments[1])
-        return _array(value, number)
+        return _array(value, number, missing)
     if origin is tuple:
         if not isinstance(value, list):
             raise TypeError(f"expected a list, got {type(value).__name__}")
@@ -152,14 +152,17 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
     return value
 
 
-def _array(value: Any, number: Any) -> Any:
-    """Return an array of finite numbers, NaN where None is stored."""
+def _array(value: Any, number: Any, missing: float = math.nan) -> Any:
+    """Return an array of finite numbers, `missing` where None is stored."""
     found = np.array(value)
     if found.dtype.kind not in "biufO" or (found.dtype == object and not _is_numeric(found)):
         raise TypeError("expected an array of numbers")
     if found.dtype.kind == "f" and not np.all(np.isfinite(found)):
         raise ValueError("expected finite numbers")
-    return np.array(value, dtype=number)
+    array = np.array(value, dtype=number)
+    if found.dtype == object:
+        array[np.isnan(array)] = missing
+    return array
 
 
 def _is_numeric(found: Any) -> bool:

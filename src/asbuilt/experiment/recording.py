@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Literal
 
@@ -29,7 +30,8 @@ FLIPPED_TWICE = "the sign of every torque was flipped twice, so that it is again
 class Recording:
     """Hold one recording as the robot logged it.
 
-    Values may be NaN and times may decrease: `check_recording` finds that.
+    Values may be NaN and times may decrease: `check_recording` finds that. A joint whose torque is
+    NaN throughout, or constant while it moves, has no torque (`has_torque`).
 
     Parameters
     ----------
@@ -204,6 +206,27 @@ class Recording:
         """Number of joints."""
         return int(self.q.shape[1])
 
+    @cached_property
+    def has_torque(self) -> Mask:
+        """Which joints have a usable torque channel, shape (n,).
+
+        None has one whose torque is nowhere finite, or one and the same while the joint moves.
+        Torques that follow from commands are no channel, and count as usable.
+
+        >>> q, tau = np.array([[0.0, 0.0], [0.1, 0.0]]), np.zeros((2, 2))
+        >>> Recording(t=[0.0, 0.01], q=q, tau=tau).has_torque.tolist()
+        [False, True]
+        """
+        if self.torque_source == "command":
+            return np.ones(self.n_joints, dtype=np.bool_)
+        return np.array([_is_signal(*each) for each in zip(self.tau.T, self.q.T, strict=True)])
+
+    def with_torque_of(self, has_torque: Mask) -> Recording:
+        """Return the recording with torques of zero at joints that have none."""
+        if has_torque.all():
+            return self
+        return replace(self, tau=np.where(has_torque, self.tau, 0.0))
+
     @property
     def rate(self) -> float:
         """Inverse of the median positive time step [Hz]; NaN if there is none."""
@@ -331,6 +354,13 @@ def advancing(t: Array, kept: Mask) -> Mask:
     """
     latest = np.maximum.accumulate(np.where(kept, t, -np.inf))
     return np.asarray(kept & (t > np.concatenate([[-np.inf], latest[:-1]])))
+
+
+def _is_signal(tau: Array, q: Array) -> bool:
+    """Return whether torques (N,) of a joint at positions (N,) are measured."""
+    tau = tau[np.isfinite(tau)]
+    varies = bool(tau.size and np.any(tau != tau[0]))
+    return varies or (bool(tau.size) and not np.nanmax(q) > np.nanmin(q))
 
 
 def _read_only(value: ArrayLike, name: str, source: str) -> Array:

@@ -294,7 +294,10 @@ BAD = {
         "t,q1,q3,tau1,tau3\n0,1,2,3,4\n",
         "the position column of joint number 2 is missing; there are q1, q3",
     ),
-    "short.csv": ("t,q1,q2,tau1\n0,1,2,3\n", "2 position columns but 1 torque columns (tau1)"),
+    "short.csv": (
+        "t,q1,q2,qd1,tau1,tau2\n0,1,2,3,4,5\n",
+        "2 position columns but 1 velocity columns (qd1)",
+    ),
     "other.csv": (
         "t,x,y\n0,1,2\n",
         "has no columns for joint positions and joint torques. Its columns are: t, x, y",

@@ -31,6 +31,21 @@ def weighted_stack(robot, samples, weights):
     return W, np.concatenate([w * tau for (_, tau), w in zip(joints, weights, strict=True)])
 
 
+def drive_rows(robot, samples):
+    """Rows `sqrt(10) / s`: s is the RMS torque of a joint in columns of its term at all joints."""
+    model, base, _ = robot
+    joints = full_rows(model, base, samples)
+    torque = [np.sqrt(np.mean(tau**2)) for _, tau in joints]
+    drives = [j for j, name in enumerate(base.names) if name[:2] in ("Fv", "Fc", "Fo")]
+    weights = []
+    for j in drives:
+        alike = [k for k in drives if base.names[k][:2] == base.names[j][:2]]
+        columns = [rows[:, k] for rows, _ in joints for k in alike if np.any(rows[:, k])]
+        typical = np.sqrt(np.mean(np.concatenate(columns) ** 2))
+        weights.append(np.sqrt(10.0) * typical / torque[int(base.names[j][2:]) - 1])
+    return np.eye(base.n_base)[drives] * np.array(weights)[:, None], weights
+
+
 def test_ridge_is_tikhonov_toward_cad_at_one_of_its_weights(robot):
     model, base, beta = robot
     cad = base.values(np.nan_to_num(parameter_values(model, DRIVE)))
@@ -38,16 +53,13 @@ def test_ridge_is_tikhonov_toward_cad_at_one_of_its_weights(robot):
     data = data_of(robot, samples, cad)
     estimate = methods["ridge"].estimate(data)
     W, tau = weighted_stack(robot, samples, estimate.weights)
-    size = np.linalg.norm(W, axis=0)
+    drives, weights = drive_rows(robot, samples)
+    size = np.linalg.norm(np.vstack([W, drives]), axis=0)
     distance = []
     for ridge in RIDGES:
-        A = np.vstack([W, np.sqrt(ridge) * np.diag(size)])
-        x = (
-            np.linalg.lstsq(
-                A / size, np.concatenate([tau, np.sqrt(ridge) * size * cad]), rcond=None
-            )[0]
-            / size
-        )
+        A = np.vstack([W, np.sqrt(ridge) * np.diag(size), drives])
+        b = np.concatenate([tau, np.sqrt(ridge) * size * cad, np.zeros(len(weights))])
+        x = np.linalg.lstsq(A / size, b, rcond=None)[0] / size
         distance.append(np.max(np.abs(x - estimate.beta)))
     assert min(distance) < 1e-9
     assert np.argmin(distance) > 0

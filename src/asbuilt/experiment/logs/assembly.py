@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -61,8 +60,7 @@ def build_recording(
     else:
         t = np.arange(first_sample, first_sample + table.n_samples, dtype=np.float64) / rate
     arrays = {
-        quantity: _stacked(table.columns, names, layout)
-        for quantity, names in layout.quantities.items()
+        quantity: _stacked(table, names, layout) for quantity, names in layout.quantities.items()
     }
     q, command = arrays.pop("position"), arrays.pop("command", None)
     tau = arrays.pop("torque", None)
@@ -260,14 +258,17 @@ def clock_origin(t: Array) -> float:
     return float(finite[0]) if finite.size and abs(finite[0]) > CALENDAR else 0.0
 
 
-def _stacked(columns: Mapping[str, Array], names: tuple[str, ...], layout: Layout) -> Array:
-    out = np.empty((columns[names[0]].size, len(names)))
+def _stacked(table: LogTable, names: tuple[str, ...], layout: Layout) -> Array:
+    """Return columns in SI units (N, n), NaN for joints that have none."""
+    out = np.full((table.n_samples, len(names)), np.nan)
     for k, name in enumerate(names):
         factor = layout.scales.get(name, 1.0)
+        if not name:
+            continue
         if factor == 1.0:
-            out[:, k] = columns[name]
+            out[:, k] = table.columns[name]
         else:
-            np.multiply(columns[name], factor, out=out[:, k])
+            np.multiply(table.columns[name], factor, out=out[:, k])
         if layout.offsets.get(name):
             out[:, k] += layout.offsets[name]
     return out

@@ -152,6 +152,8 @@ class RecordingStream:
             origin=first.origin,
             provenance=(*first.provenance, note),
             delay=first.delay,
+            slowest=first.slowest,
+            clock_bound=first.clock_bound,
         )
 
 

@@ -112,13 +112,16 @@ class SheetColumns(_Part):
     acceleration: ColumnList | None = None
     torque: ColumnList | None = None
     command: ColumnList | None = None
+    motor_position: ColumnList | None = None
+    link_position: ColumnList | None = None
     extra: dict[str, ColumnList] = Field(default_factory=dict)
 
     @property
     def numbered(self) -> bool:
         """Whether positions are given, and all columns by number, so that names do not matter."""
         listed = [self.position, self.velocity, self.acceleration, self.torque, self.command]
-        given = [each for each in (*listed, *self.extra.values()) if each is not None]
+        encoders = [self.motor_position, self.link_position]
+        given = [each for each in (*listed, *encoders, *self.extra.values()) if each is not None]
         columns = [column for each in given for column in each]
         return self.position is not None and all(
             isinstance(column, int) for column in [*columns, *([self.time] if self.time else [])]

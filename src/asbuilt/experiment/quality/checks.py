@@ -17,7 +17,7 @@ from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.command_checks import command_findings
-from asbuilt.experiment.quality.coupling_checks import coupling_findings
+from asbuilt.experiment.quality.coupling_checks import coupling_findings, encoder_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import (
     FirstPass,
@@ -36,6 +36,7 @@ from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed
 from asbuilt.experiment.quality.torque.sign_check import unsigned_findings
 from asbuilt.experiment.quality.torque.signal_checks import (
     filter_findings,
+    missing_channel_findings,
     saturation_findings,
     spike_findings,
 )
@@ -253,6 +254,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
+        findings += encoder_findings(model, beginning)
         findings += coupling_findings(model, beginning)
     findings += lock_findings(model.locked_joints, model.held_followers, model.assumed_carriers)
     findings += map(_of_note, known.notes)
@@ -291,6 +293,7 @@ def _findings_in_time(
     excess = impossible_motion(model, known, motion)
     revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from motion_findings(model, known, motion, excess)
+    yield from missing_channel_findings(model, known)
     yield from saturation_findings(model, known, closer)
     yield from spike_findings(model, known)
     yield from filter_findings(closer.torques, known.rate)

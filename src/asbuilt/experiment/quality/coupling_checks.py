@@ -1,4 +1,4 @@
-"""Checks of joints that follow others, where a log has columns of them."""
+"""Checks of positions logged twice: joints that follow others, and two encoders of one joint."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.logs.columns.layout import ENCODERS
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,10 @@ class CouplingThresholds:
 
 
 THRESHOLDS = CouplingThresholds()
+BLOCKS = 10
+"""Time blocks from whose scatter the error of a lag follows."""
+SURE = 3.0
+"""Standard errors beyond which a lag is one."""
 
 
 def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
@@ -63,3 +69,90 @@ def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Findi
                 Cure("if it has a drive of its own, remove the mimic from the description"),
                 joint=joint.name,
             )
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderLag:
+    """Hold the lag of the link's encoder behind the motor's, and what it leaves.
+
+    Parameters
+    ----------
+    value, std_error
+        The lag [s].
+    explained
+        Share of the square of motor minus link that it explains.
+    rest
+        RMS of motor minus link beyond it [rad or m].
+    """
+
+    value: float
+    std_error: float
+    explained: float
+    rest: float
+
+
+def encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | None:
+    """Return the lag of `other` (N,) behind `own` (N,); None if one of them does not move.
+
+    To first order `other(t) = s own(t - lag) + c = s own - s lag d(own)/dt + c`: zero positions and
+    directions of the encoders may differ. The error is that of the jackknife over blocks of time
+    (Miller, Biometrika 61, 1974).
+    """
+    if not (np.ptp(own) > 0.0 and np.ptp(other) > 0.0):
+        return None
+    columns = np.column_stack([own, np.gradient(own, t), np.ones_like(own)])
+
+    def lag(left_out: Indices) -> tuple[float, Array]:
+        kept = np.delete(np.arange(t.size), left_out)
+        found = np.linalg.lstsq(columns[kept], other[kept], rcond=None)[0]
+        return -float(found[1] / found[0]), found
+
+    value, (s, b, c) = lag(np.arange(0))
+    parts = [lag(rows)[0] for rows in np.array_split(np.arange(t.size), BLOCKS)]
+    difference, error = other - s * own - c, other - columns @ np.array([s, b, c])
+    return EncoderLag(
+        value,
+        float(np.std(parts) * np.sqrt(BLOCKS - 1)),
+        1.0 - float(np.mean(error**2) / np.mean(difference**2)),
+        float(np.sqrt(np.mean(error**2))),
+    )
+
+
+def encoder_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Report the lag between two encoders of each joint, and joints without the second."""
+    second = next((name for name in ENCODERS.values() if name in recording.extra), None)
+    if second is None or recording.n_samples < 2 * BLOCKS:
+        return
+    sign = 1.0 if second == ENCODERS["link"] else -1.0
+    found = [
+        encoder_lag(recording.t, own, other)
+        for own, other in zip(recording.q.T, recording.extra[second].T, strict=True)
+    ]
+    lagging = [
+        (joint, each)
+        for joint, each in zip(model.joints, found, strict=True)
+        if each is not None and abs(each.value) > SURE * each.std_error
+    ]
+    if not lagging:
+        return
+    lags = [
+        f"{joint.name} {1e3 * sign * each.value:.2f} +- {1e3 * each.std_error:.2f} ms"
+        for joint, each in lagging
+    ]
+    shares = sorted(100.0 * each.explained for _, each in lagging)
+    rest = [
+        f"{np.rad2deg(each.rest) * 1e3:.1f} mdeg"
+        if joint.is_revolute
+        else f"{1e6 * each.rest:.1f} um"
+        for joint, each in lagging
+    ]
+    without = [joint.name for joint, each in zip(model.joints, found, strict=True) if each is None]
+    also = f"; {joined(without)} have one encoder that moves" if without else ""
+    yield Finding(
+        "encoder_lag",
+        "info",
+        f"the link encoders lag behind the motor encoders by {joined(lags, len(lags))}, which"
+        f" explains {shares[0]:.0f} to {shares[-1]:.0f} % of their difference and leaves"
+        f" {joined(rest, len(rest))} for elasticity and hysteresis{also}",
+        joint=lagging[0][0].name,
+    )

@@ -45,6 +45,8 @@ class FirstPass:
 
     Parameters
     ----------
+    first_torque
+        Torque of each joint in the first sample as logged, shape (n,).
     stiffness_unknown
         Whether the torques are control errors of a servo whose stiffness is to be identified.
     t
@@ -63,6 +65,8 @@ class FirstPass:
         Moments of the positions.
     spikes
         Single torques that stand out from their neighbours.
+    has_torque
+        Which joints have a usable torque channel, shape (n,).
     outside_limits, saturated
         Positions outside the limits of the model, and torques that reach theirs.
     """
@@ -72,7 +76,7 @@ class FirstPass:
     torque_source: TorqueSource
     notes: tuple[str, ...]
     n_chunks: int
-    first_torque: float
+    first_torque: Array
     stiffness_unknown: bool
     t: Array
     not_repeated: Mask
@@ -84,6 +88,7 @@ class FirstPass:
     outside_limits: Exceedance
     torque_range: Extremes
     saturated: Exceedance
+    has_torque: Mask
     spikes: tuple[Spikes, ...] = ()
 
     @property
@@ -123,8 +128,12 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
     first = last = None
     begin = 0
+    has_torque, first_torque = np.ones(n, dtype=np.bool_), np.zeros(n)
     for logged in chunks:
         chunk = as_modelled(model, logged)
+        if first is None:
+            has_torque, first_torque = chunk.has_torque, chunk.tau[0]
+        chunk = chunk.with_torque_of(has_torque)
         not_repeated = _not_repeated(chunk, last)
         missing += _missing(chunk, begin)
         last, chunk = chunk, credible(chunk)
@@ -156,7 +165,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         torque_source=first.torque_source,
         notes=first.notes,
         n_chunks=len(times),
-        first_torque=float(first.tau[0, 0]),
+        first_torque=first_torque,
         stiffness_unknown=first.servo is not None and bool(np.any(np.isnan(first.servo.kp))),
         t=np.concatenate(times),
         not_repeated=not_repeated,
@@ -168,6 +177,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         outside_limits=outside,
         torque_range=torques,
         saturated=saturated,
+        has_torque=has_torque,
         spikes=tuple(spikes),
     )
 

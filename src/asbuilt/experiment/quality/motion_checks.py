@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.arrays import Mask
+from asbuilt.description.appearance import stretched_length
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, unit_by_gravity
 from asbuilt.experiment.quality.first_pass import FirstPass
@@ -16,6 +17,9 @@ from asbuilt.experiment.quality.running_statistics import IN_STEP
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.velocity_checks import velocity_findings
 from asbuilt.findings import Cure, Finding, joined
+
+MILLIMETRE = 1e-3
+"""A millimetre in metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +179,7 @@ def motion_findings(
     if motion is not None and motion.logged_qd is not None:
         velocities = list(velocity_findings(recording, motion, motion.logged_qd))
     if excess is None:
+        yield from _in_millimetres(model, recording)
         yield from _limits(model, recording)
     elif "rate_wrong" not in [each.code for each in velocities]:
         yield excess.finding(recording.rate)
@@ -182,6 +187,27 @@ def motion_findings(
     yield from _still(model, recording, DEGREE if degrees else 1.0)
     yield from _correlated(recording)
     yield from velocities
+
+
+def _in_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+    """Find sliding joints that are far outside their limits, and inside them as millimetres."""
+    for k, joint in enumerate(model.joints):
+        bound = max(abs(joint.limits.lower), abs(joint.limits.upper))
+        bound = bound if np.isfinite(bound) else stretched_length(model)
+        low, high = recording.position_range.low[k], recording.position_range.high[k]
+        furthest = float(max(abs(low), abs(high)))
+        within = furthest * MILLIMETRE < DEGREES.as_degrees * bound
+        if joint.is_revolute or not (furthest > DEGREES.position * bound and within):
+            continue
+        yield Finding(
+            "millimetres",
+            "error",
+            f"the positions of {joint.name} look like millimetres: it slides to {furthest:.4g},"
+            f" {furthest / bound:.3g} times its limit of {bound:.4g} m, and as millimetres it"
+            " keeps it",
+            Cure(f'write [joint_units] {joint.name} = "mm" in a recording sheet'),
+            joint=joint.name,
+        )
 
 
 def _limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:

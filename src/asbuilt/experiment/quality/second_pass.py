@@ -68,7 +68,7 @@ def second_pass(
     torques: list[Array] = []
     begin = place = 0
     for logged in chunks:
-        chunk = credible(as_modelled(model, logged))
+        chunk = credible(as_modelled(model, logged).with_torque_of(known.has_torque))
         stop = begin + chunk.n_samples
         changed = chunk.tau[known.not_repeated[begin:stop]]
         plateaus = [

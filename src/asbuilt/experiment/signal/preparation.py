@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from asbuilt.arrays import Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.differentiation import central_differences
@@ -88,7 +89,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     chain = chain or SignalChain()
     segments, rate, notes = _segments(recording, chain)
     is_open = chain.cutoff is None
-    chain, chosen = _resolved(chain, segments, rate, _commanded(recording))
+    chain, chosen, verdict = _resolved(chain, segments, rate, _commanded(recording))
     if is_open:
         segments, rate, notes = _segments(recording, chain)
     plan, origin = FilterPlan.of(chain, rate), float(segments[0].t[0])
@@ -115,6 +116,8 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
         plan,
         parts,
         origin,
+        recording.has_torque,
+        verdict,
         (*recording.notes, *notes, *chosen, *plan.description()),
     )
     if samples.parallel is not None and samples.n_filtered == 0:
@@ -157,6 +160,8 @@ def stream_samples(
     chain = chain or SignalChain()
     plan: FilterPlan | None = None
     held: Recording | None = None
+    has_torque: Mask | None = None
+    verdict: VelocityVerdict | None = None
     low = -np.inf
     origin = np.nan
     for chunk, more in _with_more(recordings):
@@ -164,9 +169,10 @@ def stream_samples(
         held = joined
         if joined.n_samples < SHORTEST and more:
             continue
-        segments, rate, notes = _segments(joined, chain, plan.rate if plan else None)
+        has_torque = joined.has_torque if has_torque is None else has_torque
+        segments, rate, notes = _segments(joined, chain, plan.rate if plan else None, has_torque)
         if plan is None:
-            chain, chosen = _resolved(chain, segments, rate, _commanded(joined))
+            chain, chosen, verdict = _resolved(chain, segments, rate, _commanded(joined))
             plan = FilterPlan.of(chain, rate)
             if plan.parallel is None and plan.thinning > 1:
                 raise UsageError(
@@ -198,20 +204,30 @@ def stream_samples(
                 held = joined.between(segment.t[0] + (after - plan.support - 0.5) / rate, np.inf)
         if parts:
             samples = _assembled(
-                joined, plan, parts, origin, (*joined.notes, *notes, *plan.description())
+                joined,
+                plan,
+                parts,
+                origin,
+                has_torque,
+                verdict,
+                (*joined.notes, *notes, *plan.description()),
             )
             if samples.n_filtered:
                 yield samples
 
 
 def _segments(
-    recording: Recording, chain: SignalChain, rate: float | None = None
+    recording: Recording,
+    chain: SignalChain,
+    rate: float | None = None,
+    has_torque: Mask | None = None,
 ) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
     """Return uniform segments; pauses that the filter does not resolve do not divide them.
 
-    Single torques that stand out have the mean of their neighbours.
+    Single torques that stand out have the mean of their neighbours; joints without torque have 0.
     """
     resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
+    recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
     return uniform_segments(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 
 
@@ -225,8 +241,9 @@ def _resolved(
     segments: Sequence[UniformSegment],
     rate: float,
     commanded: bool = False,
-) -> tuple[SignalChain, tuple[str, ...]]:
+) -> tuple[SignalChain, tuple[str, ...], VelocityVerdict | None]:
     notes: list[str] = []
+    verdict: VelocityVerdict | None = None
     if rate < SLOWEST_RATE:
         raise RecordingError(
             f"a sampling rate of {rate:.3g} Hz is too low to differentiate positions; at least"
@@ -271,7 +288,7 @@ def _resolved(
         if fitting:
             motions = [plan.motion(segment)[:2] for segment in fitting]
             chain = replace(chain, standstill=standstill_speeds(motions, chain.cutoff or 0.0))
-    return chain, tuple(notes)
+    return chain, tuple(notes), verdict
 
 
 def _advanced(
@@ -311,6 +328,8 @@ def _assembled(
     plan: FilterPlan,
     parts: list[SegmentArrays],
     origin: float,
+    has_torque: Mask,
+    verdict: VelocityVerdict | None,
     provenance: tuple[str, ...],
 ) -> Samples:
     bounds = [0, *np.cumsum([part[0].size for part in parts]).tolist()]
@@ -334,6 +353,8 @@ def _assembled(
         origin=origin,
         provenance=provenance,
         delay=plan.chain.delays,
+        slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
+        clock_bound=np.inf if verdict is None else verdict.clock_bound,
     )
 
 

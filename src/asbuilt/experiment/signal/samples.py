@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.findings import joined
@@ -52,9 +52,11 @@ class Samples:
         Delays [s] by which the torque was shifted back, one for all joints or each; empty: none.
     delay_errors
         Standard errors [s] of delays that were estimated, which those of a fit allow for.
+    clock_bound
+        Largest error of the clock, as a share, that logged velocities admit; infinite without them.
     slowest
         Speed of each joint below which its rows do not count, since the direction of dry friction
-        is unknown; empty: all count.
+        is unknown; infinite for a joint without a torque channel; empty: all count.
 
     Raises
     ------
@@ -88,6 +90,7 @@ class Samples:
     delay: tuple[float, ...] = ()
     delay_errors: tuple[float, ...] = ()
     slowest: tuple[float, ...] = ()
+    clock_bound: float = np.inf
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)
@@ -134,6 +137,11 @@ class Samples:
     def n_joints(self) -> int:
         """Number of joints."""
         return int(self.q.shape[1])
+
+    @property
+    def has_torque(self) -> Mask:
+        """Which joints have a usable torque channel, shape (n,)."""
+        return np.isfinite(self.slowest or np.zeros(self.n_joints))
 
     @property
     def n_filtered(self) -> int:

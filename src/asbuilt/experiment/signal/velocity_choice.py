@@ -35,6 +35,15 @@ class VelocityVerdict:
             and self.noise <= LARGEST_NOISE
         )
 
+    @property
+    def clock_bound(self) -> float:
+        """Largest error of the clock, as a share, that the logged velocities admit.
+
+        A clock that is off by a share turns the derivative of every position by as much against a
+        velocity that the drive measures.
+        """
+        return abs(self.gain - 1.0) + LARGEST_GAIN_ERROR
+
     def __str__(self) -> str:
         verdict = "used" if self.helps else "not used"
         return (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ SMALLEST_REACH = 0.05
 """Least size of a link [m]."""
 GUESSED_STRENGTH = 0.1
 """Weight of a link without CAD values; links with CAD values have 1."""
+UNSCALED = 1e-6
+"""Weight of drive parameters without a scale from data, which matters only if data leave them open.
+"""
 
 PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
@@ -76,6 +79,11 @@ class CadPrior:
         What was corrected or guessed.
     mass_ranges
         What is known of masses: links together, counted from 0, with lower and upper limit [kg].
+    drive_scale
+        Scale of drive parameters (n_standard - 10 n,): by default the CAD value, or 1 without.
+    drive_weight
+        Weight of drive parameters toward CAD or zero at a distance of `drive_scale`, in squared
+        weighted residuals: 1 for a scale that is a standard deviation.
     """
 
     robot: str
@@ -86,10 +94,16 @@ class CadPrior:
     non_negative: NDArray[np.int64]
     notes: tuple[str, ...] = ()
     mass_ranges: tuple[tuple[tuple[int, ...], float, float], ...] = ()
+    drive_scale: Array = field(default_factory=lambda: np.zeros(0))
+    drive_weight: float = UNSCALED
 
     def __post_init__(self) -> None:
+        if not self.drive_scale.size:
+            stated = np.abs(self.parameters[10 * self.n_links :])
+            object.__setattr__(self, "drive_scale", np.where(stated > 0, stated, 1.0))
         for values in (self.parameters, self.strength, self.reach, self.non_negative):
             values.setflags(write=False)
+        self.drive_scale.setflags(write=False)
 
     @property
     def n_links(self) -> int:
@@ -105,12 +119,6 @@ class CadPrior:
     def metric(self) -> Array:
         """Hessian of the divergence at CAD with the strength of each link, shape (n, 10, 10)."""
         return body_metric(self.parameters[: 10 * self.n_links], self.strength)
-
-    @property
-    def drive_scale(self) -> Array:
-        """Scale of drive parameters, shape (n_standard - 10 n,): the CAD value, or 1 without."""
-        stated = np.abs(self.parameters[10 * self.n_links :])
-        return np.where(stated > 0, stated, 1.0)
 
     def divergence(self, parameters: Array) -> Array:
         """Return `tr(P0^-1 P) - log det(P0^-1 P) - 4` of every link, shape (n,).
@@ -217,6 +225,8 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             chi[10 * i : 10 * i + 10] = LinkInertia.from_com(
                 mass, com, np.trace(S) * np.eye(3) - S
             ).parameters
+    if np.all(masses == 0.0):
+        notes = [f"No link has a mass in CAD; {chi[9]:.3g} kg assumed for each"]
     return CadPrior(
         robot=model.name,
         names=parameter_names(model, drive),

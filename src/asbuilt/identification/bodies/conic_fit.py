@@ -163,7 +163,9 @@ class ConicProblem:
             pull = np.concatenate(
                 [
                     np.repeat(floored * prior.strength, 10),
-                    np.full(n - inertial, min(floored, 1.0) * DRIVE_WEIGHT),
+                    np.full(
+                        n - inertial, max(min(floored, 1.0) * DRIVE_WEIGHT, prior.drive_weight)
+                    ),
                 ]
             )
             inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None

@@ -25,8 +25,6 @@ from asbuilt.identification.bodies.cad_prior import (
 )
 from asbuilt.identification.bodies.conic_fit import near_one
 
-DRIVE_RIDGE = 1e-6
-"""Weight of drive parameters toward CAD or zero, which matters only if they are undetermined."""
 BARRIER = 1e-3
 """Weight of the logarithmic barrier in squared weighted residuals, far below one standard error."""
 CLOSE = 1e-9
@@ -143,12 +141,12 @@ class EntropicProblem:
             parts, drives = self.along[:n].reshape(-1, 10, self.along.shape[1]), self.along[n:]
             hessians += (_turned(parts) @ blocks @ parts).sum(
                 axis=1
-            ) + DRIVE_RIDGE * drives.T @ drives
+            ) + self.prior.drive_weight * drives.T @ drives
             return
         for i in range(len(blocks[0])):
             hessians[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += blocks[:, i]
         drive = range(n, len(self.q0))
-        hessians[:, drive, drive] += DRIVE_RIDGE
+        hessians[:, drive, drive] += self.prior.drive_weight
 
     def fit(
         self,
@@ -243,7 +241,8 @@ class _Search:
         bodies = self.weights[:, None] * np.asarray(
             problem.identity - svec(_turned(inverse) @ inverse)
         )
-        slope = np.hstack([bodies.reshape(len(q), -1), DRIVE_RIDGE * (q[:, n:] - problem.q0[n:])])
+        drives = problem.prior.drive_weight * (q[:, n:] - problem.q0[n:])
+        slope = np.hstack([bodies.reshape(len(q), -1), drives])
         gradient = _times(_turned(self.A[a]), self.error[a]) + (
             slope @ problem.along if problem.held else slope
         )
@@ -334,7 +333,7 @@ class _Search:
                 - 2.0 * np.log(np.diagonal(roots, axis1=2, axis2=3)).sum(axis=2)
             ) @ self.weights
             value += 0.5 * (
-                DRIVE_RIDGE * np.sum(drives**2, axis=1) + np.sum(error**2, axis=1)
+                problem.prior.drive_weight * np.sum(drives**2, axis=1) + np.sum(error**2, axis=1)
             ) - self.barrier * np.log(slack).sum(axis=1)
         return np.where(np.isfinite(value), value, np.inf), roots
 

@@ -10,7 +10,11 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
-from asbuilt.identification.calibration.gravity_scale import doubted_gains, gravity_scales
+from asbuilt.identification.calibration.gravity_scale import (
+    doubted_gains,
+    gravity_scales,
+    has_masses,
+)
 from asbuilt.identification.result.result import IdentificationResult
 
 USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
@@ -68,11 +72,16 @@ def gain_errors_of(
 
     Without `stated` ones, those of the torque source, wider by what the gravity torques of the
     result differ from CAD's beyond its tolerance. Torques of motors count as calibrated, to 5 %,
-    if the gravity torques agree with CAD's; otherwise 10 %.
+    if the gravity torques agree with CAD's; otherwise 10 %, as all but those of sensors do where
+    the description has no masses.
     """
     n = result.model.n_joints
     usual = relative_gain_errors(source, n, stated)
-    if stated is not None or source not in ("motor", "current"):
+    if stated is not None or source == "sensor":
+        return usual
+    if not has_masses(result.model):
+        return np.maximum(usual, UNCALIBRATED)
+    if source == "unknown":
         return usual
     scales = gravity_scales(result)
     doubted = doubted_gains(scales)
@@ -82,7 +91,13 @@ def gain_errors_of(
 
 
 def gains_in_doubt(result: IdentificationResult, source: TorqueSource) -> tuple[str, ...]:
-    """Return the joints whose gravity torque differs from CAD's beyond its tolerance."""
+    """Return the joints whose gravity torque differs from CAD's beyond its tolerance.
+
+    All of them where the description has no masses, so that nothing shows the scale of torques
+    that are not those of a sensor.
+    """
+    if source != "sensor" and not has_masses(result.model):
+        return result.model.joint_names
     if source not in ("motor", "current"):
         return ()
     doubted = doubted_gains(gravity_scales(result))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.identification.information.random_motion import random_positions
 from asbuilt.identification.result.result import IdentificationResult
@@ -27,8 +28,7 @@ def gravity_scales(result: IdentificationResult) -> Array:
     scales = np.full(n, np.nan)
     links = np.asarray(result.base.columns) < 10 * result.model.n_links
     design = np.array([parameter.cad for parameter in result.parameters], dtype=np.float64)
-    known = all(link.inertia_known and link.inertia.mass > 0.0 for link in result.model.links)
-    if not known or not np.all(np.isfinite(design[links])):
+    if not has_masses(result.model) or not np.all(np.isfinite(design[links])):
         return scales
     q = random_positions(result.model, np.random.default_rng(0))
     still = np.zeros_like(q)
@@ -44,6 +44,11 @@ def gravity_scales(result: IdentificationResult) -> Array:
     clear = (size > LEAST_SHARE * size.max(initial=0.0)) & (product > CLEAR * size * own)
     scales[clear] = product[clear] / size[clear] ** 2
     return scales
+
+
+def has_masses(model: RobotModel) -> bool:
+    """Return whether every link has a mass by design."""
+    return all(link.inertia_known and link.inertia.mass > 0.0 for link in model.links)
 
 
 def doubted_gains(scales: Array) -> Array:

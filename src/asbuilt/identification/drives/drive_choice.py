@@ -41,8 +41,13 @@ class Gain:
 
     @classmethod
     def between(cls, before: Array, after: Array) -> Gain:
-        """Return the gain from squared errors before and after, (folds,) or (folds, n)."""
-        logs = 0.5 * np.log(before / after).reshape(len(before), -1).mean(axis=1)
+        """Return the gain from squared errors before and after, (folds,) or (folds, n).
+
+        Joints without torque have no error, and no part in it.
+        """
+        seen = np.broadcast_to(np.any(before > 0.0, axis=0), before.shape)
+        ratio = (before[seen] / after[seen]).reshape(len(before), -1)
+        logs = 0.5 * np.log(ratio).mean(axis=1)
         return cls(float(logs.mean()), float(np.std(logs, ddof=1) / np.sqrt(len(logs))))
 
     @property

@@ -83,7 +83,7 @@ def common_growth(
     lasting, *shared = parts
     of_noise = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
     along = of_noise + sum(each.beyond_chance(rank) for each in shared)
-    share = leverage / max(information.n_samples * information.n_joints, 1)
+    share = leverage / max(information.n_rows, 1)
     seen = float(np.sum(moves**2)) / (moves.shape[1] * variance)
     grown, steep = _absorbed(share, along * seen)
     spread /= along**2

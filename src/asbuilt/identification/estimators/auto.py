@@ -19,7 +19,12 @@ from asbuilt.identification.bodies.consistency import (
     margin_is_consistent,
     non_passive_drives,
 )
-from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE, Coordinates
+from asbuilt.identification.bodies.drive_prior import (
+    USUAL_DESIGN_EFFECT,
+    with_drive_rows,
+    with_drive_scale,
+)
+from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
@@ -41,6 +46,7 @@ from asbuilt.identification.information.candidate_choice import (
 )
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.held_out import different_motions, folds
 from asbuilt.identification.information.random_motion import (
     random_motion_rows,
@@ -64,14 +70,14 @@ class SelectionRules:
     beliefs: tuple[float, ...] = (STRONGEST_BELIEF, 10.0, 10**0.5, 1.0)
     """Weights of CAD tried, times the design effect, so that samples count as often as they are
     independent. At 1 links lie within a factor of about e of CAD."""
-    design_effect: float = 10.0
-    """Samples per independent sample where the blocks are too few to estimate it: the median of
-    14 recordings of four robots."""
+    design_effect: float = USUAL_DESIGN_EFFECT
+    """Samples per independent sample where the blocks are too few to estimate it."""
     costly: float = 0.05
     """Rise of the torque error by a consistent fit beyond that of its lost degrees of freedom."""
 
 
 RULES = SelectionRules()
+SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
 CURE = Cure(
     "look for an effect that the description lacks: base tilt, further friction, a tool on the"
     " flange",
@@ -151,11 +157,10 @@ class _Candidates:
 
 def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the chosen candidate, why it was chosen, and notes."""
-    information, prior = (
-        free.information or data.information,
-        cad_prior(data.model, data.base.drive),
-    )
+    information = free.information or data.information
+    prior = with_drive_scale(cad_prior(data.model, data.base.drive), information)
     with one_blas_thread():
+        free = _with_drive_prior(information, free, prior)
         try:
             consistent = fit_consistent(information, prior)
         except AsbuiltError as problem:
@@ -175,6 +180,7 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
             information,
             free,
             candidates,
+            masses,
             lambda: choose_candidate(
                 candidates.known,
                 parts,
@@ -182,9 +188,31 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
                 consistent.weights,
                 prior_information(information, prior),
                 motion,
-                effect * free_energy / (information.n_samples * information.n_joints),
+                effect * free_energy / information.n_rows,
             ),
         )
+
+
+def _with_drive_prior(
+    information: SquareRootInformation, free: Estimate, prior: CadPrior
+) -> Estimate:
+    """Return least squares with the prior of drive parameters, alike where they are determined."""
+    solved = solve_factor(
+        with_drive_rows(information.stacked(free.weights), information.base, prior),
+        information.n_rows,
+        information.base.regrouping @ prior.parameters,
+    )
+    of_data = replace(
+        solved,
+        rank=free.rank,
+        open_directions=free.solution.open_directions,
+        singular_values=free.solution.singular_values,
+        condition_number=free.solution.condition_number,
+        scaled_condition_number=free.solution.scaled_condition_number,
+    )
+    return free.renewed(
+        free.method, information, of_data, own_information=free.information, notes=free.notes
+    )
 
 
 def design_effect(information: SquareRootInformation, estimate: Estimate) -> float:
@@ -206,7 +234,7 @@ def prior_information(information: SquareRootInformation, prior: CadPrior) -> Ar
     links = regrouping[:, :inertial].reshape(-1, prior.n_links, 10)
     covariance = np.einsum("pia,iab,qib->pq", links, np.linalg.inv(prior.metric), links)
     drives = regrouping[:, inertial:] * prior.drive_scale
-    covariance += drives @ drives.T / DRIVE_RIDGE
+    covariance += drives @ drives.T / prior.drive_weight
     size = np.sqrt(np.diag(covariance))
     return np.asarray(np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size))
 
@@ -257,7 +285,11 @@ def _candidates(
         0.0,
         lambda: np.array(
             [
-                fit_least_squares(training, weights=of_joints, prior=K @ prior.parameters).beta
+                _with_drive_prior(
+                    training,
+                    fit_least_squares(training, weights=of_joints, prior=K @ prior.parameters),
+                    prior,
+                ).beta
                 for training, _ in parts
             ]
         ),
@@ -296,6 +328,7 @@ def _chosen(
     information: SquareRootInformation,
     free: Estimate,
     candidates: _Candidates,
+    masses: bool,
     choose: Callable[[], MotionChoice],
 ) -> tuple[Estimate, str, tuple[str, ...]]:
     """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
@@ -314,17 +347,19 @@ def _chosen(
     why = f"{choice.candidates[choice.chosen].name} predicts other motions best"
     if choice.chosen != choice.best:
         why = (
-            f"{choice.candidates[choice.chosen].name} is closest to CAD of those that predict other"
-            " motions as well as the best within one standard error"
+            f"{choice.candidates[choice.chosen].name} is"
+            f" {'closest to CAD' if masses else 'the first consistent one'} of those that predict"
+            " other motions as well as the best within one standard error"
         )
         error += f", of the best, {choice.sentence(choice.best)}"
     if fit is not free:
         error += f", of {choice.sentence(len(choice.candidates) - 1)}"
+    beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
     why += (
-        f" (squared error in noise variances on {n_folds} groups of held-out time blocks + expected"
-        f" beyond them: of {error})"
+        f" (squared error in noise variances on {n_folds} groups of held-out time blocks{beyond}:"
+        f" of {error})"
     )
-    notes = (choice.motion_note, *_failures(candidates))
+    notes = (choice.motion_note, *_failures(candidates), *(() if masses else (SCALE_OF_TORQUE,)))
     if fit is not free:
         return _joined(information, fit, free), why, notes
     if _is_consistent(information, free):
@@ -380,7 +415,8 @@ def _joined(information: SquareRootInformation, fit: Estimate, free: Estimate) -
         np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)),
         quietest_noise(information),
     )
-    rise = float(np.sqrt(np.mean(information.residual_energy(fit.beta) / n / sigma**2))) - 1.0
+    ratio = (information.residual_energy(fit.beta) / n / sigma**2)[information.has_torque]
+    rise = float(np.sqrt(np.mean(ratio))) - 1.0
     if rise <= RULES.costly:
         return fit
     finding = Finding(

@@ -19,7 +19,8 @@ from asbuilt.identification.bodies.body_bounds import (
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, cad_prior
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
-from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE, Coordinates
+from asbuilt.identification.bodies.drive_prior import with_drive_scale
+from asbuilt.identification.bodies.entropic_fit import Coordinates
 from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
@@ -108,7 +109,7 @@ def estimate_euclidean(data: EstimationData) -> ConsistentEstimate:
 def _prior(data: EstimationData) -> CadPrior:
     if data.undetermined == "refuse":
         fit_least_squares(data.information, undetermined="refuse")
-    return cad_prior(data.model, data.base.drive)
+    return with_drive_scale(cad_prior(data.model, data.base.drive), data.information)
 
 
 def fit_consistent(
@@ -206,9 +207,13 @@ def fit_toward_cad(
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:
-    """Return the least noise (n,): `QUIETEST` of the torque RMS, `noise_floor` without torque."""
+    """Return the least noise (n,): `QUIETEST` of the torque RMS, `noise_floor` of torques of 0.
+
+    It is infinite for joints without torque.
+    """
     rms = np.sqrt(information.torque_energy / information.n_samples)
-    return np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
+    least = np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
+    return np.where(information.has_torque, least, np.inf)
 
 
 def _joint_weights(
@@ -271,7 +276,7 @@ def _estimate(
         chi,
         WEAKEST_BELIEF if prior_weight <= TINY_WEIGHT else prior_weight,
     )
-    n_rows = information.n_samples * information.n_joints
+    n_rows = information.n_rows
     factor = information.stacked(weights)
     error = factor @ np.append(-beta, 1.0)
     energy = float(error @ error)
@@ -279,6 +284,7 @@ def _estimate(
         free.solution, x=beta, inverse_root=root, residual_energy=energy
     )
     part = float(prior.relative_eigenvalues(chi).min())
+    known = "CAD" if np.any(prior.strength == 1.0) else "the bodies assumed"
     return ConsistentEstimate(
         method=method,
         beta=beta,
@@ -292,8 +298,9 @@ def _estimate(
         converged=True,
         notes=(
             *notes,
-            f"Every link is physically consistent, its pseudo-inertia at least {part:.2g} of CAD",
-            f"Standard errors use CAD with weight {belief:.3g}",
+            f"Every link is physically consistent, its pseudo-inertia at least {part:.2g} of"
+            f" {known}",
+            f"Standard errors use {known} with weight {belief:.3g}",
             *prior.notes,
         ),
         refit=lambda factor: base.regrouping @ again(factor),
@@ -334,7 +341,7 @@ def _stacked(
     halfway = 0.5 * (prior.parameters[:inertial] + chi[:inertial])
     roots = body_metric_root(halfway, prior.strength)
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
-    drives = np.sqrt(DRIVE_RIDGE) / prior.drive_scale[:, None] * free[inertial:]
+    drives = np.sqrt(prior.drive_weight) / prior.drive_scale[:, None] * free[inertial:]
     known = _known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
     data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])

@@ -44,7 +44,7 @@ def estimate_essential(data: EstimationData) -> Estimate:
     start = estimate_wls(data)
     effective = block_uncertainty(information, start).effective_samples
     share = min(1.0, effective / information.n_samples)
-    n_rows = information.n_samples * information.n_joints
+    n_rows = information.n_rows
     freedom = max(n_rows * share - start.rank, 1.0)
     variance = start.solution.residual_energy / max(n_rows - start.rank, 1)
     kept = np.flatnonzero(start.determined)

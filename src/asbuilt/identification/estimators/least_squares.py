@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.findings import Cure
@@ -53,7 +53,7 @@ def fit_least_squares(
     weights
         None for ordinary least squares; `"joint"` for 1 / sigma_k with `sigma_k^2 = |e_k|^2 / (N -
         t_k)`, t_k the parameters that joint k spends, iterated to convergence (Gautier, IROS 1997);
-        or n positive numbers.
+        or n positive numbers. Joints without torque have a weight of 0.
     prior
         Values (p,) toward which undetermined directions are resolved by the smallest change in
         parameters scaled to equal torque; NaN counts as 0.
@@ -65,10 +65,10 @@ def fit_least_squares(
     IdentifiabilityError
         If directions are undetermined without prior or refused, or rows are fewer than parameters.
     """
-    n, rows = information.n_joints, information.n_samples
-    if rows * n <= information.base.n_base:
+    n, rows = information.n_joints, information.n_rows
+    if rows <= information.base.n_base:
         raise IdentifiabilityError(
-            f"{rows} samples of {n} joints give {rows * n} torques, too few for"
+            f"{information.n_samples} samples of {n} joints give {rows} torques, too few for"
             f" {information.base.n_base} parameters of {information.base.robot}",
             cure=Cure("record longer, decimate less or choose fewer drive terms"),
         )
@@ -80,24 +80,26 @@ def fit_least_squares(
             f"weights {weights!r} are unknown; expected 'joint', None or {n} positive numbers, one"
             " per joint"
         )
-    w = np.ones(n) if weights is None or isinstance(weights, str) else positive_weights(weights, n)
+    seen = information.has_torque
+    given = np.ones(n) if weights is None or isinstance(weights, str) else weights
+    w = np.where(seen, positive_weights(given, seen), 0.0)
     iterations, converged, ahead = 0, True, _Extrapolation()
     with one_blas_thread():
         while True:
             iterations += 1
             if not iterated:
                 break
-            x, root = solve_fast(information.stacked(w), rows * n, toward)
+            x, root = solve_fast(information.stacked(w), rows, toward)
             renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
             converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
             if converged or iterations > MOST_ITERATIONS:
                 break
-            w = ahead.weights(w, renewed)
-        solution = solve_factor(information.stacked(w), rows * n, toward)
+            w[seen] = ahead.weights(w[seen], renewed[seen])
+        solution = solve_factor(information.stacked(w), rows, toward)
         sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
         raise _refusal(information, solution)
-    variance = solution.residual_energy / max(rows * n - solution.rank, 1)
+    variance = solution.residual_energy / max(rows - solution.rank, 1)
     return Estimate(
         method="ols" if weights is None else "wls",
         beta=solution.x,
@@ -187,9 +189,9 @@ def _refusal(information: SquareRootInformation, solution: FactorSolution) -> Id
     )
 
 
-def positive_weights(weights: ArrayLike, n: int) -> Array:
-    """Return weights of n joints as an array; raises `UsageError` unless n positive numbers."""
-    w = np.asarray(weights, dtype=np.float64)
-    if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w <= 0):
+def positive_weights(weights: ArrayLike, seen: Mask) -> Array:
+    """Return weights of n joints as an array, positive where `seen` (n,); else `UsageError`."""
+    w, n = np.asarray(weights, dtype=np.float64), len(seen)
+    if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w[seen] <= 0):
         raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")
     return w

@@ -95,7 +95,7 @@ def estimate_ml(data: EstimationData) -> Estimate:
         "ml",
         solved,
         fitted.solution,
-        sigma=deviation,
+        sigma=np.where(information.has_torque, deviation, np.inf),
         iterations=iterations,
         converged=converged,
         own_information=solved,

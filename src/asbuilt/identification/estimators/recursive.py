@@ -69,7 +69,7 @@ class RecursiveIdentification:
         prior_strength: float = 0.0,
     ) -> None:
         n, p = model.n_joints, base.n_base
-        w = np.ones(n) if weights is None else positive_weights(weights, n)
+        w = np.ones(n) if weights is None else positive_weights(weights, np.ones(n, dtype=np.bool_))
         if not 0.0 < forgetting <= 1.0:
             raise UsageError(
                 f"the forgetting factor must lie above 0 and be at most 1, got {forgetting}; 0.999"

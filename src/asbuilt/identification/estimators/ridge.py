@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.drive_prior import with_drive_rows, with_drive_scale
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import Weighted
 from asbuilt.identification.information.held_out import folds
+from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
 """Weights tried, in units of the squared length of a column."""
@@ -26,20 +31,25 @@ RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
 def estimate_ridge(data: EstimationData) -> Estimate:
     """Minimise `|(tau - W beta) / sigma|^2 + lambda |D (beta - beta_CAD)|^2`.
 
-    D holds the lengths of the weighted columns. lambda minimises the squared error on groups of
-    neighbouring time blocks held out in turn, and may be zero. Parameters without a CAD value are
-    regularised toward zero. Source: Hoerl & Kennard, Technometrics 12, 1970.
+    D holds the lengths of the weighted columns, the prior of drives included. lambda minimises the
+    squared error on groups of neighbouring time blocks held out in turn, and may be zero.
+    Parameters without a CAD value are regularised toward zero, and those of drives have a scale too
+    (`with_drive_scale`): without it a column that is short, of a joint that hardly moves, would
+    hardly be regularised. Source: Hoerl & Kennard, Technometrics 12, 1970.
     """
-    information = data.information
+    information, base = data.information, data.base
     start = estimate_wls(data)
     prior = data.prior_values
+    drives = with_drive_scale(cad_prior(data.model, base.drive), information)
+
+    def weighted_rows(part: SquareRootInformation) -> Weighted:
+        factor = with_drive_rows(part.stacked(start.weights), base, drives)
+        return Weighted.factored(factor, part.n_rows, prior)
+
     errors = np.zeros(len(RIDGES))
     with one_blas_thread():
         for training, held in folds(information):
-            weighted, test = (
-                Weighted.of(training, start.weights, prior),
-                held.stacked(start.weights),
-            )
+            weighted, test = weighted_rows(training), held.stacked(start.weights)
             for i, ridge in enumerate(RIDGES):
                 error = test @ np.append(-weighted.solve(ridge).x, 1.0)
                 errors[i] += error @ error
@@ -51,6 +61,6 @@ def estimate_ridge(data: EstimationData) -> Estimate:
         return start.renewed(
             "ridge",
             information,
-            Weighted.of(information, start.weights, prior).solve(chosen),
+            replace(weighted_rows(information).solve(chosen), rank=start.rank),
             notes=(f"{note}.",),
         )

@@ -114,7 +114,7 @@ def _robust(
                         max(MAD_TO_SIGMA * float(np.median(np.abs(_counting(e)))), floor)
                         for e in residuals
                     ]
-                )
+                ) + np.where(information.has_torque, 0.0, np.inf)
             gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
             sums = [np.zeros((own.size, own.size + 1)) for own in rows.support]
             for b, block in enumerate(rows):

@@ -61,9 +61,7 @@ def estimate_total(data: EstimationData) -> Estimate:
             np.column_stack([factor[:, order] / scale[order], factor[:, -1] / size])
         )
         u, s, vt = np.linalg.svd(r[first:-1, first:-1])
-        kept = s > rank_tolerance(information.n_samples * information.n_joints, base.n_base) * max(
-            s.max(initial=0.0), 1.0
-        )
+        kept = s > rank_tolerance(information.n_rows, base.n_base) * max(s.max(initial=0.0), 1.0)
         left_open = vt[~kept].T
         u, s, v = u[:, kept], s[kept], vt[kept].T
         z = u.T @ r[first:-1, -1]

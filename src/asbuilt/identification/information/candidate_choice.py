@@ -66,9 +66,10 @@ class MotionChoice:
         return np.asarray(self.errors + self.extrapolation[:, None])
 
     def sentence(self, candidate: int) -> str:
-        """Return the error of a candidate as text."""
+        """Return the error of a candidate as text, and what is expected beyond it, if anything."""
         held, beyond = self.errors[candidate].mean(), self.extrapolation[candidate]
-        return f"{self.candidates[candidate].name} {held:.3g} + {beyond:.2g}"
+        more = f" + {beyond:.2g}" if beyond > 0.0 else ""
+        return f"{self.candidates[candidate].name} {held:.3g}{more}"
 
     @property
     def motion_note(self) -> str:

@@ -33,9 +33,9 @@ class Estimate:
     covariance
         Textbook covariance (p, p), `inverse_root inverse_root^T` times the residual variance.
     sigma
-        Residual standard deviation of each joint, shape (n,).
+        Residual standard deviation of each joint, shape (n,); infinite for joints without torque.
     weights
-        Factors of the rows of each joint, shape (n,).
+        Factors of the rows of each joint, shape (n,); 0 for joints without torque.
     solution
         Rank, conditioning and the inverse root of the information.
     undetermined
@@ -100,7 +100,7 @@ class Estimate:
         found = solution.x if beta is None else beta
         root = solution.inverse_root if inverse_root is None else inverse_root
         error = information.stacked(self.weights) @ np.append(-found, 1.0)
-        energy, n_rows = float(error @ error), information.n_samples * information.n_joints
+        energy, n_rows = float(error @ error), information.n_rows
         return replace(
             self,
             method=method,
@@ -132,11 +132,10 @@ def noise_floor(information: SquareRootInformation) -> float:
 def residual_deviation(
     information: SquareRootInformation, beta: Array, inverse_root: Array, weights: Array
 ) -> Array:
-    """Return the standard deviation of each joint's residual, shape (n,)."""
+    """Return the standard deviation of each joint's residual (n,), infinite without torque."""
     spent = _spent(information, inverse_root, weights)
-    return np.asarray(
-        np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0))
-    )
+    energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
+    return np.asarray(np.sqrt(energy / np.maximum(information.n_samples - spent, 1.0)))
 
 
 def _spent(information: SquareRootInformation, inverse_root: Array, weights: Array) -> Array:

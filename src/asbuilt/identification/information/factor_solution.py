@@ -92,9 +92,7 @@ class Weighted:
         cls, information: SquareRootInformation, weights: Array, toward: Array | None = None
     ) -> Weighted:
         """Decompose the information of all joints, joint k multiplied by `weights[k]`."""
-        return cls.factored(
-            information.stacked(weights), information.n_samples * information.n_joints, toward
-        )
+        return cls.factored(information.stacked(weights), information.n_rows, toward)
 
     def solve(self, ridge: float = 0.0) -> FactorSolution:
         """Return the solution of least squares, with `ridge |D (x - toward)|^2` added."""

@@ -15,7 +15,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.batches import available_cores, chosen_threads
@@ -110,6 +110,16 @@ class SquareRootInformation:
         return tuple(
             triangular_factor(factors.reshape(-1, factors.shape[-1])) for factors in self.factors
         )
+
+    @cached_property
+    def has_torque(self) -> Mask:
+        """Which joints have rows, shape (n,); those without a torque channel have none."""
+        return np.array([bool(np.any(factor)) for factor in self.joint_factors])
+
+    @property
+    def n_rows(self) -> int:
+        """Number of torques: samples times joints that have torques."""
+        return self.n_samples * int(np.count_nonzero(self.has_torque))
 
     @property
     def torque_energy(self) -> Array:

@@ -87,7 +87,9 @@ def _torque_information(result: IdentificationResult) -> Array:
     """
     if result.cause_data is not None:
         places = result.cause_data.places(result.base.names)
-        quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
+        quietest = np.finfo(np.float64).tiny + QUIETEST * float(
+            result.sigma[np.isfinite(result.sigma)].max(initial=0.0)
+        )
         rows = [
             factor[:, places] / max(float(sigma), quietest)
             for factor, sigma in zip(

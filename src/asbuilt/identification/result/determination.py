@@ -290,7 +290,8 @@ def _errors(information: Array, weak: Indices, scale: Array | None = None) -> tu
 def _information_of(result: IdentificationResult, q: Array, qd: Array, qdd: Array) -> Array:
     plan = RegressorPlan.of(result.model, result.base.drive, result.base.columns)
     total = np.zeros((result.n_base, result.n_base))
-    sigma = np.maximum(result.sigma, 1e-9 * max(float(result.sigma.max()), 1e-300))
+    largest = float(result.sigma[np.isfinite(result.sigma)].max(initial=0.0))
+    sigma = np.maximum(result.sigma, 1e-9 * max(largest, 1e-300))
     for support, rows, noise in zip(plan.support, plan.evaluate(q, qd, qdd), sigma, strict=True):
         total[np.ix_(support, support)] += rows @ rows.T / noise**2
     return total

@@ -19,7 +19,8 @@ class TorqueMetrics:
     r"""Measure a prediction by its error `e = measured - predicted` at each of n joints.
 
     Units are N m for a revolute joint and N for a prismatic one. All are taken in the band that the
-    samples' filter passes, except `rms_recorded`. What is unknown is NaN.
+    samples' filter passes, except `rms_recorded`. What is unknown is NaN, such as all of a joint
+    without a torque channel; `relative_error` is that of the other joints.
 
     | attribute | shape | definition |
     |---|---|---|
@@ -108,11 +109,12 @@ class TorqueTally:
                 " than the filter's edges?"
             )
         energy = self._spread + self._n * self._mean**2
+        known = np.isfinite(energy)
         with np.errstate(divide="ignore", invalid="ignore"):
             constant = self._spread <= 1e-24 * energy
             r_squared = np.where(constant, np.nan, 1.0 - self._error / self._spread)
             per_joint = np.sqrt(self._error / energy)
-            relative = float(np.sqrt(self._error.sum() / energy.sum()))
+            relative = float(np.sqrt(self._error[known].sum() / energy[known].sum()))
         return TorqueMetrics(
             source=source,
             joint_names=self.joint_names,

@@ -123,7 +123,8 @@ class IdentificationResult:
     textbook_covariance
         (p, p), residuals taken as white.
     sigma
-        (n,) standard deviation of the torque residual of each joint.
+        (n,) standard deviation of the torque residual of each joint, infinite where its torque was
+        not logged.
     effective_samples
         Number of independent samples with the same information.
     rank, singular_values
@@ -182,7 +183,7 @@ class IdentificationResult:
     parameters: tuple[IdentifiedParameter, ...]
     covariance: Array
     textbook_covariance: Array
-    sigma: Array
+    sigma: Array = field(metadata=stored(missing=np.inf))
     effective_samples: float
     rank: int
     singular_values: Array
@@ -583,7 +584,7 @@ class IdentificationResult:
             ("rate", self.rate > 0, "positive"),
             ("duration", self.duration > 0, "positive"),
             ("rank", 0 <= self.rank <= self.base.n_base, f"from 0 to {self.base.n_base}"),
-            ("sigma", _all_finite(self.sigma) and np.all(self.sigma > 0), "positive and finite"),
+            ("sigma", bool(np.all(self.sigma > 0)), "positive"),
             ("estimate", _all_finite(estimates), "finite"),
             ("std_error", not np.any(np.array(errors) < 0), "at least 0"),
             ("covariance", _all_finite(self.covariance), "finite"),

@@ -129,15 +129,16 @@ def parameter_torque(
 def beside_measured(samples: Samples, torque: Array) -> Prediction:
     """Put a predicted torque (N, n), given at every sample, beside the one measured.
 
-    Both go through the filter of the samples.
+    Both go through the filter of the samples. Torques of joints without a torque channel are NaN.
     """
     recorded = replace(samples, tau=samples.tau_raw, parallel=None)
     error = recorded.filtered_torque - recorded.filtered(torque)
+    measured = np.where(samples.has_torque, 1.0, np.nan)
     return Prediction(
         samples.filtered_times,
-        samples.filtered_torque,
+        measured * samples.filtered_torque,
         samples.filtered(torque),
-        np.sqrt(np.mean(error**2, axis=0)),
+        measured * np.sqrt(np.mean(error**2, axis=0)),
         samples.joint_names,
         samples.source,
     )

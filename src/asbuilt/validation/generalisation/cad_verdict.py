@@ -90,7 +90,11 @@ class PredictionVerdict:
             for outcome in ("worse", "better")
             if (named := [_named(joint) for joint in self.joints if joint.outcome == outcome])
         ]
-        undecided = [joint.joint for joint in self.joints if joint.outcome == "undecided"]
+        undecided = [
+            joint.joint
+            for joint in self.joints
+            if joint.outcome == "undecided" and np.isfinite(joint.as_built)
+        ]
         if undecided:
             parts.append(f"no sure difference at {joined(undecided, 7)}")
         if self.whole.sigmas is None:
@@ -122,7 +126,8 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
     scale = np.maximum(np.mean(cad**2, axis=0), tiny)
     by_cad, as_built = _means(cad**2, block), _means(built**2, block)
     gains = (by_cad - as_built) / np.maximum(by_cad + as_built, tiny)
-    sigmas, p = _student(np.column_stack([gains, gains.mean(axis=1)]))
+    seen = np.isfinite(built).all(axis=0)
+    sigmas, p = _student(np.column_stack([gains, gains[:, seen].mean(axis=1)]))
     strict = holm(p[:-1]) if len(p) > 1 else p
     relative = np.sqrt(np.mean(built**2, axis=0) / scale)
     joints = tuple(
@@ -139,7 +144,13 @@ def cad_verdict(validation: Validation) -> PredictionVerdict:
         )
     )
     whole = _verdict(
-        "all", "of CAD's", 1.0, float(np.sqrt(np.mean(relative**2))), sigmas[-1], p[-1], p[-1]
+        "all",
+        "of CAD's",
+        1.0,
+        float(np.sqrt(np.mean(relative[seen] ** 2))),
+        sigmas[-1],
+        p[-1],
+        p[-1],
     )
     return PredictionVerdict(recording_name(validation.source), int(block[-1]) + 1, whole, joints)
 

@@ -26,11 +26,13 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "few_blocks": ("poorly_determined",),
         "joints_correlated": ("poorly_determined",),
         "link_mass_differs": ("base_tilt",),
+        "not_excited": ("joint_without_torque",),
     }
 )
 """Findings that follow from another one, or repeat it; beside it they are good to know only."""
 
 WEIGHT: tuple[str, ...] = (
+    "joint_without_torque",
     "gravity_direction",
     "torque_scale",
     "joint_torque_scale",

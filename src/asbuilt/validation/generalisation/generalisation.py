@@ -168,7 +168,7 @@ def _generalisation(
             Cure("record longer, add recordings, or use fewer drive terms"),
         )
     behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
-    if behind.size:
+    if behind.size and np.any(validation.predicted_cad):
         yield Finding(
             "cad_predicts_better",
             "warning",

@@ -109,6 +109,8 @@ class LogErrorSearch:
         (error,) = self._refined([(own, 0.0)], replace(nothing, clock=best)) or (None,)
         if error is None or abs(np.log((1.0 + error.value) / best)) > np.log(ABOUT):
             return None
+        if not self._admits_clock(error.value):
+            return None
         after = self._residual(replace(nothing, clock=1.0 + error.value).of)
         return replace(error, share=1.0 - after / whole)
 
@@ -255,7 +257,13 @@ class LogErrorSearch:
     def _is_plausible(self, candidate: Candidate, found: Chosen | LogError) -> bool:
         """Return whether a robot in use can have this value; what a model lacks has no bounds."""
         bounds = self._bounds(candidate)
+        if candidate.kind == "clock" and not self._admits_clock(found.value):
+            return False
         return bounds is None or bounds.hold(found.value, found.std_error)
+
+    def _admits_clock(self, value: float) -> bool:
+        """Return whether logged velocities, which do not follow the clock, admit its error."""
+        return all(abs(value) <= samples.clock_bound for samples in self.training)
 
     def _residual(self, change: Callable[[Samples], Samples]) -> float:
         """Return the squared residual of a fit to changed samples, weighted as the first fit."""

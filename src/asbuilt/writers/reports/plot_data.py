@@ -53,8 +53,9 @@ def _joint_data(
     t, *curves = thinned(validation.t, measured, built, cad, measured - built, points=points)
     error = measured - built
     spread = float(np.std(error)) or 1.0
+    clipped = np.clip((error - error.mean()) / spread, -5, 5)
     counts, edges = np.histogram(
-        np.clip((error - error.mean()) / spread, -5, 5), bins=51, range=(-5, 5), density=True
+        clipped[np.isfinite(clipped)], bins=51, range=(-5, 5), density=bool(np.isfinite(spread))
     )
     step = max(1, len(analysis.lags) // 200)
     dots = np.linspace(0, len(validation.t) - 1, min(len(validation.t), 500)).astype(int)

@@ -10,6 +10,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from asbuilt.codec import plain
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.study import Study
@@ -68,6 +69,6 @@ def report_html(
         subtitle=f"Identified from {sources}",
         contents=[(identifier, title) for identifier, title, _ in shown],
         sections=shown,
-        data=plot_data(report),
+        data=plain(plot_data(report)),
         script=resource("report.js"),
     )

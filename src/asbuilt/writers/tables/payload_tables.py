@@ -112,6 +112,11 @@ def _doubts(payload: Payload) -> tuple[str, ...]:
     """Return which gains are doubted, since gravity torques are far from those of CAD."""
     if not payload.gains_in_doubt:
         return ()
+    if len(payload.gains_in_doubt) == len(payload.gain_uncertainty):
+        return (
+            "GAINS IN DOUBT: no torque agrees in scale with a description that has masses; the"
+            " payload has the scale of the torques.",
+        )
     return (
         f"GAINS IN DOUBT: the gravity torques of {joined(payload.gains_in_doubt)} are far from"
         " those of CAD, which may be the torque scale; the payload's errors allow for it.",

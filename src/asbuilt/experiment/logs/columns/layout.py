@@ -35,6 +35,8 @@ _SYMBOLS = {
     "tau": "torque",
     "q_command": "command",
 }
+ENCODERS = {"motor": "q_motor", "link": "q_link"}
+"""Positions of a second encoder of each joint, by the side of the drive train that it is on."""
 _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
 
 
@@ -43,8 +45,8 @@ class Layout:
     """Columns of each quantity in joint order, and the factor of each column to SI.
 
     `quantities` has position, torque or command, and velocity, acceleration, and extras such as
-    `tau_ext` where the log has them. `nanoseconds` is a column to add to the time, `offsets` are
-    added to columns in SI.
+    `tau_ext` where the log has them. A joint without a torque column has "" in its place.
+    `nanoseconds` is a column to add to the time, `offsets` are added to columns in SI.
     """
 
     time: str | None
@@ -59,7 +61,7 @@ class Layout:
     @property
     def columns(self) -> list[str]:
         """Every column that is needed, each once."""
-        names = [name for group in self.quantities.values() for name in group]
+        names = [name for group in self.quantities.values() for name in group if name]
         times = [each for each in (self.time, self.nanoseconds) if each]
         return list(dict.fromkeys([*times, *names]))
 
@@ -99,6 +101,12 @@ def find_layout(
         listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
         if listed is not None:
             groups[quantity, ""] = _listed(source, names, order, quantity, listed, sheet)
+    for side, columns in (
+        ("motor", sheet.columns.motor_position),
+        ("link", sheet.columns.link_position),
+    ):
+        if columns is not None:
+            groups["position", side] = _listed(source, names, order, "position", columns, sheet)
     for key, columns in sheet.columns.extra.items():
         groups[key, "sheet"] = _listed(source, names, order, key, columns, sheet)
     position = groups.get(("position", ""))
@@ -136,6 +144,11 @@ def find_layout(
         if quantity in sheet.columns.extra and len(group.names) == 1:
             ordered[quantity] = (group.names[0],) * len(labels)
             continue
+        if quantity == "torque" and sheet.columns.torque is None:
+            some = _of_some_joints(group, position)
+            if some is not None:
+                ordered[quantity] = some
+                continue
         try:
             ordered[quantity] = _aligned(source, quantity, group, labels, sheet)
         except RecordingError:
@@ -173,7 +186,8 @@ def _chosen(
         if kind in ("", "sheet"):
             chosen[quantity] = group
         elif kind != "unscaled":
-            chosen[_EXTRA_TORQUES[kind] if quantity == "torque" else f"{quantity}_{kind}"] = group
+            of_torque = _EXTRA_TORQUES if quantity == "torque" else ENCODERS
+            chosen[of_torque.get(kind, f"{quantity}_{kind}")] = group
     return chosen
 
 
@@ -245,7 +259,27 @@ def _group(
         group.roles.append(role)
     for group in groups.values():
         _count_by_index(group)
+    groups = _with_two_encoders(groups)
     return {**_groups_by_unit(names, groups), **_goals(names, groups), **groups}
+
+
+def _with_two_encoders(groups: dict[tuple[str, str], _Group]) -> dict[tuple[str, str], _Group]:
+    """Return groups in which motor positions are the positions, and link positions a second set.
+
+    Only where the others are called those of links; a log with positions of motors alone has no
+    others.
+    """
+    motor, other = groups.get(("position", "motor")), groups.get(("position", ""))
+    if motor is None:
+        return groups
+    rest = {key: each for key, each in groups.items() if key[0] != "position"}
+    if other is None:
+        return {**rest, ("position", ""): motor}
+    labels = [words_of(role.joint) for role in other.roles]
+    if not all(words[:1] == ["link"] for words in labels):
+        return groups
+    other.roles = [replace(role, joint="") for role in other.roles]
+    return {**rest, ("position", ""): motor, ("position", "link"): other}
 
 
 def _count_by_index(group: _Group) -> None:
@@ -269,14 +303,14 @@ def _goals(
     goals = [(name, role) for name in names if (role := goal_of_position(name)) is not None]
     group = _Group([name for name, _ in goals], [role for _, role in goals])
     _count_by_index(group)
-    if not goals or _places(group) != _places(position):
+    if not goals or sorted(_places(group)) != sorted(_places(position)):
         return {}
     return {("command", ""): group}
 
 
 def _places(group: _Group) -> list[tuple[str, int]]:
-    """Return which joint each column belongs to, by name or else by number, sorted."""
-    return sorted((role.joint, -1 if role.joint else role.index or 0) for role in group.roles)
+    """Return which joint each column belongs to, by name or else by number."""
+    return [(role.joint, -1 if role.joint else role.index or 0) for role in group.roles]
 
 
 def _groups_by_unit(
@@ -471,6 +505,18 @@ def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
             )
 
 
+def _of_some_joints(group: _Group, position: _Group) -> tuple[str, ...] | None:
+    """Return the columns in the order of the positions, "" for joints that have none.
+
+    None where every joint has one, or the names do not say which joint each belongs to.
+    """
+    own = dict(zip(_places(group), group.names, strict=True))
+    places = _places(position)
+    if len(own) < len(group.names) or not set(own) < set(places):
+        return None
+    return tuple(own.get(place, "") for place in places)
+
+
 def _aligned(
     source: str, quantity: str, group: _Group, labels: Sequence[str], sheet: RecordingSheet
 ) -> tuple[str, ...]:
@@ -576,7 +622,8 @@ def _scales(
 ) -> dict[str, float]:
     scales: dict[str, float] = {}
     for quantity, group in chosen.items():
-        unit = getattr(sheet.units, quantity, None)
+        of_position = quantity in ENCODERS.values()
+        unit = getattr(sheet.units, "position" if of_position else quantity, None)
         if quantity == "command" and unit is None and not any(role.unit for role in group.roles):
             unit = sheet.units.position
         for name, role in zip(group.names, group.roles, strict=True):

@@ -37,7 +37,8 @@ _WORDS: dict[str, Quantity] = {
         "time",
     ),
     **dict.fromkeys(
-        ("position", "positions", "pos", "angle", "angles", "theta", "qpos", "winkel"), "position"
+        ("position", "positions", "pos", "angle", "angles", "ang", "theta", "qpos", "winkel"),
+        "position",
     ),
     **dict.fromkeys(
         (
@@ -73,6 +74,7 @@ _WORDS: dict[str, Quantity] = {
             "moments",
             "drehmoment",
             "trq",
+            "torq",
         ),
         "torque",
     ),
@@ -285,7 +287,7 @@ def recognise(name: str) -> Role | None:
         if left & _EXTERNAL
         else (
             "motor"
-            if left & _MOTOR and quantity == "torque"
+            if left & _MOTOR and quantity in ("torque", "position")
             else "sensor"
             if left & _SENSOR
             else ""
@@ -469,6 +471,10 @@ def _with_unit(name: str) -> tuple[str, int | None, str, int]:
             unit = content.strip()
     bare = re.sub(r"[\[(][^\])]*[\])]", "", name)
     suffix = _UNIT_SUFFIX.search(bare)
+    if suffix and suffix.group(1).lower() in _TIMES:
+        # Baxter's joints are s0 to w2: `ang_left_s0` is no angle in seconds
+        rest = _quantity(words_of(bare[: suffix.start()]))[0]
+        suffix = suffix if rest in (None, "time") else None
     if suffix and not unit:
         bare = bare[: suffix.start()] + bare[suffix.end() :]
         return bare, index, suffix.group(1), _order(suffix.group(2) or "")

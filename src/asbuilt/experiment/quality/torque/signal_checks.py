@@ -21,6 +21,30 @@ _SHORTEST = 256
 """Number of samples that a spectrum needs."""
 
 
+def missing_channel_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
+    """Name joints without a usable torque channel, unless there is none at all."""
+    if not recording.has_torque.any():
+        return
+    for k in np.flatnonzero(~recording.has_torque).tolist():
+        joint, value = model.joints[k], float(recording.first_torque[k])
+        moved = float(recording.position_range.high[k] - recording.position_range.low[k])
+        torque, angle = ("N m", "rad") if joint.is_revolute else ("N", "m")
+        what = (
+            f"is not logged in any of {recording.n_samples} samples"
+            if np.isnan(value)
+            else f"is {value:.4g} {torque} in all {recording.n_samples} samples, while the joint"
+            f" moves by {moved:.3g} {angle}"
+        )
+        yield Finding(
+            "joint_without_torque",
+            "warning",
+            f"the torque of {joint.name} {what}; it is not used, and the friction of {joint.name}"
+            " and what else this torque alone determines stay at CAD",
+            Cure("log it, or name its column in a recording sheet: [columns] torque = [...]"),
+            joint=joint.name,
+        )
+
+
 def saturation_findings(
     model: RobotModel, recording: FirstPass, closer: SecondPass
 ) -> Iterator[Finding]:

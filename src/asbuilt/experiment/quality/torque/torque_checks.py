@@ -60,13 +60,9 @@ def torque_findings(
     """
     fit = TorqueFit.of(model, motion, position_scale)
     if not np.any(fit.predicted > 0):
-        yield Finding(
-            "no_inertia",
-            "info",
-            f"{model.name} has no inertial parameters, or none that act in this motion; sign"
-            " and order of the torques were not checked, their scale only by the length of the arm",
-            Cure("use a description with masses to have them checked"),
-        )
+        signs = fit.friction_correlation
+        yield _without_masses(model, signs)
+        yield from _signs_by_friction(model, signs)
         scale = scale_without_masses(fit)
         if scale is not None:
             yield scale
@@ -76,8 +72,8 @@ def torque_findings(
         yield Finding(
             "no_torque",
             "error",
-            f"the torques are constant: that of the first joint is {recording.first_torque:.4g} in"
-            f" {recording.n_samples} samples",
+            "the torques are constant: that of the first joint is"
+            f" {recording.first_torque[0]:.4g} in {recording.n_samples} samples",
             Cure("log the measured joint torques or motor currents"),
         )
         return
@@ -102,6 +98,62 @@ def torque_findings(
     elif best is fit:
         yield from _swapped_without_cad(model, fit)
     yield from _sign_and_scale(model, recording, best, ratio)
+
+
+def _without_masses(model: RobotModel, friction: Array) -> Finding:
+    """Say what of the torques can be checked without masses, by correlations of friction (n,)."""
+    seen = np.flatnonzero(np.abs(friction) > THRESHOLDS.braking)
+    by = (
+        f"their signs by friction at {joined([model.joint_names[k] for k in seen])} alone"
+        if seen.size
+        else "their signs neither, as no friction shows"
+    )
+    return Finding(
+        "no_inertia",
+        "info",
+        f"{model.name} has no inertial parameters, or none that act in this motion; the order of"
+        f" the torques was not checked, {by}, their scale by the length of the arm: masses have"
+        " the scale of the torques",
+        Cure("use a description with masses to have them checked"),
+    )
+
+
+def _signs_by_friction(model: RobotModel, friction: Array) -> Iterator[Finding]:
+    """Find torques that act along the motion where friction, by any masses, acts against it."""
+    seen = np.abs(friction) > THRESHOLDS.braking
+    wrong = np.flatnonzero(seen & (friction < 0.0)).tolist()
+    right = np.flatnonzero(seen & (friction > 0.0)).tolist()
+    if len(wrong) > max(len(right), 1):
+        listed = joined([f"{model.joint_names[k]} {friction[k]:.2f}" for k in wrong])
+        yield Finding(
+            "torque_flipped",
+            "error",
+            "the torque sign looks flipped: torques correlate negatively with the direction of"
+            f" motion, unlike friction ({listed})",
+            _signs_cure(model, -1.0, right)
+            if right
+            else Cure(
+                "flip the torque sign, or write sign = -1 in a recording sheet",
+                settings={"flip_torque": True},
+            ),
+        )
+        return
+    for k in wrong:
+        yield _drives_its_motion(model, k, float(friction[k]), 1.0, wrong)
+
+
+def _drives_its_motion(
+    model: RobotModel, k: int, correlation: float, sign: float, wrong: Collection[int]
+) -> Finding:
+    """Return the finding of a joint whose torque grows against the direction of its motion."""
+    return _flipped_joint(
+        model,
+        k,
+        "warning",
+        f"the torque of {model.joint_names[k]} correlates negatively with its direction of motion"
+        f" ({correlation:.2f}), unlike friction; its sign may be flipped",
+        _signs_cure(model, sign, wrong),
+    )
 
 
 def _swapped(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Finding:
@@ -188,14 +240,7 @@ def _sign_and_scale(
             _signs_cure(model, sign, alone),
         )
     for k in doubtful:
-        yield _flipped_joint(
-            model,
-            k,
-            "warning",
-            f"the torque of {names[k]} correlates negatively with its direction of motion"
-            f" ({friction[k]:.2f}), unlike friction; its sign may be flipped",
-            _signs_cure(model, sign, [*alone, *doubtful]),
-        )
+        yield _drives_its_motion(model, k, float(friction[k]), sign, [*alone, *doubtful])
     low, high = THRESHOLDS.plausible
     if recording.stiffness_unknown:
         yield _stiffness(model, scale)

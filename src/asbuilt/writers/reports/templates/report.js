@@ -174,8 +174,8 @@
           { x: of.t, y: of.cad, name: "CAD", shade: "cad" },
           { x: of.t, y: of.built, name: "as built", shade: "built" } ] },
         { title: "error [" + of.unit + "]", share: 2, traces: [
-          { x: of.t, y: difference(of.measured, of.cad), name: "error of CAD, RMS " + of.rms_cad, shade: "cad" },
-          { x: of.t, y: difference(of.measured, of.built), name: "error as built, RMS " + of.rms, shade: "error" } ] },
+          { x: of.t, y: difference(of.measured, of.cad), name: "error of CAD, RMS " + (of.rms_cad ?? "unknown"), shade: "cad" },
+          { x: of.t, y: difference(of.measured, of.built), name: "error as built, RMS " + (of.rms ?? "unknown"), shade: "error" } ] },
       ],
     });
   }
