@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from asbuilt.cli.answers import COMPILING, Screen, cure_text, finding_text
+from asbuilt.dynamics.kernels import compilation
 from asbuilt.findings import Cure, Finding
 
 
@@ -53,27 +52,24 @@ def test_verbose_prints_each_step_once(capsys: pytest.CaptureFixture[str]) -> No
     assert [line.split()[-1] for line in capsys.readouterr().err.splitlines()] == ["filter"]
 
 
-class Started:
-    """The start of a compilation, as numba reports it."""
+class Cold:
+    """A kernel that is to be compiled."""
 
-    is_start = True
-
-    def __init__(self, cache: Any) -> None:
-        self.data = {"dispatcher": type("Dispatcher", (), {"_cache": cache})()}
+    def __init__(self, *, is_kept: bool) -> None:
+        self.is_kept = is_kept
 
 
-class NullCache:
-    """The cache of a function whose machine code cannot be stored."""
-
-
-def test_compilation_is_announced_once_with_how_often_it_happens(
-    capsys: pytest.CaptureFixture[str],
+def test_compilation_is_announced_with_how_often_it_happens_and_done_at_once(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    screen = Screen()
-    for _ in range(2):
-        screen.announce_compilation(Started(object()))
+    calls = []
+    monkeypatch.setattr(compilation, "compile_kernels", calls.append)
+    Screen().announce_compilation(Cold(is_kept=True))
     assert capsys.readouterr().err == f"asbuilt: {COMPILING}\n"
-    Screen().announce_compilation(Started(NullCache()))
+    assert len(calls) == 1
+    Screen().announce_compilation(Cold(is_kept=False))
     assert "in every run" in capsys.readouterr().err
-    Screen(quiet=True).announce_compilation(Started(object()))
+    assert len(calls) == 1
+    Screen(quiet=True).announce_compilation(Cold(is_kept=True))
     assert capsys.readouterr().err == ""
+    assert len(calls) == 2

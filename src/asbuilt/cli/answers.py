@@ -7,8 +7,9 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +19,12 @@ from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
     from asbuilt.cli.arguments.spread import Common
+    from asbuilt.dynamics.kernels.compilation import Kernel
     from asbuilt.findings import Finding
 
-COMPILING = "compiling the dynamics: once per installation, about 25 s"
+COMPILING = "compiling the dynamics: once per installation, about 20 s"
 COMPILING_EACH_TIME = (
-    "compiling the dynamics: about 25 s in every run, because the machine code cannot be stored;"
+    "compiling the dynamics: about 20 s in every run, because the machine code cannot be stored;"
     " set NUMBA_CACHE_DIR to a folder you may write to"
 )
 
@@ -37,7 +39,6 @@ class Screen:
         self._started = time.perf_counter()
         self._bar: Any = None
         self._tasks: dict[str, Any] = {}
-        self._announced = False
 
     def report(self, what: str, fraction: float) -> None:
         """Show that `what` is done to a fraction; zero shows that it is under way."""
@@ -56,17 +57,18 @@ class Screen:
         total = 1.0 if fraction > 0.0 else None
         bar.update(self._tasks[stage], description=what, completed=fraction, total=total)
 
-    def announce_compilation(self, event: Any) -> None:
-        """Say that machine code is being made, when the first compilation starts."""
-        if self._announced or not event.is_start:
-            return
-        self._announced = True
-        kept = type(event.data["dispatcher"]._cache).__name__ != "NullCache"
-        message = COMPILING if kept else COMPILING_EACH_TIME
+    def announce_compilation(self, kernel: Kernel) -> None:
+        """Say that machine code is being made and, if it can be kept, make all there is."""
+        from asbuilt.dynamics.kernels.compilation import compile_kernels
+
+        message = COMPILING if kernel.is_kept else COMPILING_EACH_TIME
+        stage = message.replace(":", ",")
         if self._terminal:
-            self.report(message.replace(":", ","), 0.0)
+            self.report(stage, 0.0)
         elif not self.quiet:
             self._line(f"asbuilt: {message}")
+        if kernel.is_kept:
+            compile_kernels(partial(self.report, stage) if self._terminal else lambda _: None)
 
     def close(self) -> None:
         """Remove the bar."""
@@ -99,20 +101,14 @@ def screen_of(common: Common, *, compiles: bool) -> Iterator[None]:
     """Open the screen of a command, which also announces compilation."""
     screen = Screen(quiet=common.quiet, verbose=common.verbose)
     token = _screen.set(screen)
+    if compiles:
+        from asbuilt.dynamics.kernels.compilation import announced_by
+
+        announcing: AbstractContextManager[None] = announced_by(screen.announce_compilation)
+    else:
+        announcing = nullcontext()
     try:
-        if compiles:
-            from numba.core import event
-
-            class Announcer(event.Listener):
-                def on_start(self, event: Any) -> None:
-                    screen.announce_compilation(event)
-
-                def on_end(self, event: Any) -> None:
-                    pass
-
-            with event.install_listener("numba:compile", Announcer()):
-                yield
-        else:
+        with announcing:
             yield
     finally:
         screen.close()

@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -42,7 +41,7 @@ class OneSample:
         self._program = np.concatenate([self._codes, program.ravel()])
         work = np.zeros(single_sample.work_size(n))
         self._numbers = np.concatenate([links, layout.gravity, constants, work])
-        self._torque, self._mass = _kernels()
+        self._torque, self._mass = single_sample.torque, single_sample.mass_matrix
 
     def torque(self, q: Any, qd: Any, qdd: Any) -> Array | None:
         """Return the torques of rigid bodies and drives [N m or N], shape (n,)."""
@@ -79,16 +78,3 @@ class OneSample:
 def rigid_bodies(model: RobotModel) -> OneSample:
     """Return the rigid bodies of a robot, remembered for the robots used last."""
     return OneSample(model, NO_DRIVE, np.empty(0), model.parameters)
-
-
-@cache
-def _kernels() -> tuple[Any, Any]:
-    """Return the two kernels, compiled for arrays of float64 and for nothing else."""
-    numbers, matrix = types.float64[::1], types.float64[:, ::1]
-    torque, mass = single_sample.torque, single_sample.mass_matrix
-    for state in (numbers, types.Array(types.float64, 1, "A", readonly=True)):
-        torque.compile((types.int64[::1], numbers, state, state, state, numbers))
-        mass.compile((types.int64[::1], numbers, state, matrix))
-    torque.disable_compile()
-    mass.disable_compile()
-    return torque, mass

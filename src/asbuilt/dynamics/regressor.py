@@ -24,6 +24,8 @@ from asbuilt.errors import UsageError
 
 Some = slice | Indices
 
+NO_COLUMNS = np.empty(0, dtype=np.int64)
+"""Of the regressor kernel, which then writes one row per joint and parameter."""
 _LINE = 8
 """Doubles in a cache line."""
 _PER_LINK = len(PARAMETER_NAMES)
@@ -267,8 +269,8 @@ class RegressorPlan:
         )
 
         def work(start: int, stop: int) -> None:
-            rigid_body.regressor_rows(
-                *robot, self.places, self.bounds, *vectors, start, stop, rows, width
+            rigid_body.regressor(
+                *robot, self.places, self.bounds, NO_COLUMNS, *vectors, start, stop, rows, width
             )
 
         over_samples(work, inputs[0].shape[0], threads)
@@ -303,7 +305,7 @@ class RegressorPlan:
         )
 
         def work(start: int, stop: int) -> None:
-            rigid_body.regressor_stack(
+            rigid_body.regressor(
                 *robot, self.places, self.bounds, order, *vectors, start, stop, out, width
             )
 

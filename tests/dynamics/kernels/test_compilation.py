@@ -6,19 +6,27 @@ import importlib.util
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
 from asbuilt.dynamics.kernels import compilation
-from asbuilt.dynamics.kernels.compilation import MachineCodeFiles, compiled, source_digest
+from asbuilt.dynamics.kernels.compilation import (
+    Kernel,
+    MachineCodeFiles,
+    announced_by,
+    compile_kernels,
+    kernel,
+    source_digest,
+)
 
 
 def fresh_twice(folder: Path):
     """Import a compiled function anew, as another run would."""
     path = folder / "toy.py"
     path.write_text(
-        "from asbuilt.dynamics.kernels.compilation import compiled\n\n@compiled\ndef twice(x):\n   "
-        " return 2 * x\n"
+        "from asbuilt.dynamics.kernels.compilation import kernel\n\n@kernel('i')\ndef twice(x):\n "
+        "   return 2 * x\n"
     )
     specification = importlib.util.spec_from_file_location("toy", path)
     module = importlib.util.module_from_spec(specification)
@@ -66,7 +74,9 @@ def test_every_source_of_kernels_counts_and_no_other(tmp_path: Path, name: str) 
 def test_a_function_that_cannot_be_cached_is_compiled_all_the_same():
     namespace = {}
     exec("def twice(x):\n    return 2 * x", namespace)
-    assert compiled(namespace["twice"])(3) == 6
+    made = kernel("i")(namespace["twice"])
+    assert made(3) == 6
+    assert not made.is_kept
 
 
 @pytest.mark.parametrize("step", ["_save_index", "_save_data"])
@@ -117,3 +127,50 @@ def test_no_process_loads_code_of_other_sources_while_new_code_is_written(tmp_pa
     assert seen == [None, b"new code"]
     assert old.load("of floats") is None
     assert len([*tmp_path.glob("*.nbc")]) == 1
+
+
+def test_a_kernel_has_one_signature_and_refuses_other_types() -> None:
+    @kernel("f1 F1")
+    def double(x, out):
+        for k in range(x.size):
+            out[k] = 2.0 * x[k]
+
+    x, out = np.arange(3.0), np.zeros(3)
+    with pytest.raises(TypeError, match="No matching definition"):
+        double(np.arange(3), out)
+    double(x, out)
+    x.setflags(write=False)
+    double(x, out)
+    np.testing.assert_array_equal(out, [0.0, 2.0, 4.0])
+    for wrong in (np.arange(3), np.arange(6.0)[::2], x.astype(np.float32)):
+        with pytest.raises(TypeError, match="No matching definition"):
+            double(wrong, out)
+    with pytest.raises(TypeError, match="No matching definition"):
+        double(out, x)
+    assert len(double.overloads) == 1
+
+
+def test_only_the_first_kernel_that_is_not_on_disk_is_announced(tmp_path: Path) -> None:
+    seen = []
+    with announced_by(seen.append):
+        made = fresh_twice(tmp_path)
+        assert made.is_on_disk()
+        fresh_twice(tmp_path)
+    assert seen == [made]
+    with announced_by(seen.append):
+        fresh_twice(tmp_path)
+    assert seen == [made]
+
+
+def test_every_module_with_kernels_is_found_and_each_has_its_own_code(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done = []
+    monkeypatch.setattr(Kernel, "is_on_disk", lambda self: self.py_func.__module__ == "toy")
+    monkeypatch.setattr(Kernel, "make_ready", lambda self: done.append(self.__name__))
+    fractions = []
+    compile_kernels(fractions.append)
+    assert {"regressor", "newton_euler", "simulate", "lag", "_sections", "_follow"} <= set(done)
+    assert fractions[0] == 0.0
+    assert fractions == sorted(fractions)
+    assert fractions[-1] < 1.0

@@ -5,15 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from asbuilt.dynamics.kernels.compilation import kernel
 from asbuilt.dynamics.kernels.lanes import LANES, LARGEST_ANGLE
 from asbuilt.dynamics.kernels.recursion import BLOCK, trigonometry
+
+
+@kernel("F1")
+def write_cosine_and_sine(rows):
+    trigonometry(rows, 0, BLOCK, 2 * BLOCK)
 
 
 def sine_and_cosine(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     found = []
     for block in angles.reshape(-1, BLOCK):
         rows = np.concatenate([block, np.zeros(2 * BLOCK)])
-        trigonometry(rows, 0, BLOCK, 2 * BLOCK)
+        write_cosine_and_sine(rows)
         found.append(rows[BLOCK:].reshape(2, BLOCK))
     cosine, sine = np.concatenate(found, axis=1)
     return sine, cosine

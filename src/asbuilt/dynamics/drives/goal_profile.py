@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel
 
 FINEST = 1e-3
 """Longest step of the path of a goal [s]."""
@@ -68,7 +68,7 @@ def goal_path(
     return fine, out
 
 
-@compiled
+@kernel("f1 f1 f f i F1")
 def _follow(ends, command, a, fastest, parts, out):
     """Write the goal in the middle of each part of every period."""
     goal, rate = command[0], 0.0

@@ -4,15 +4,25 @@
 
 from __future__ import annotations
 
+import gc
 import glob
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from numba import njit
-from numba.core.caching import IndexDataCacheFile
+from numba import njit, types
+from numba.core.caching import IndexDataCacheFile, NullCache
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
+
+NUMBERS = {"i": types.int64, "f": types.float64, "b": types.boolean, "a": types.float64}
+"""Types by their letter in a signature; `a` is `f` in arrays whose items need not be neighbours."""
+OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_rewrites": True}
+"""What takes time and serves nothing here: entries for callers in C, fused arrays."""
 
 
 class MachineCodeFiles(IndexDataCacheFile):
@@ -46,34 +56,138 @@ class MachineCodeFiles(IndexDataCacheFile):
             path.unlink(missing_ok=True)
 
 
-def compiled(function: Callable[..., Any]) -> Any:
-    """Compile on first call, release the interpreter lock, keep the machine code on disk.
+class Kernel(CPUDispatcher):
+    """A function compiled for one signature, when it is first called.
+
+    Arguments of other types are refused, so that no call ever compiles a variant. An array that is
+    only read may be read-only or not. Kernels, unlike their parts, are kept on disk.
+    """
+
+    announce: ClassVar[Callable[[Kernel], None] | None] = None
+    """Called once with the first kernel that is not on disk, before it is compiled."""
+
+    def __init__(self, function: Callable[..., Any], signature: str, options: Any) -> None:
+        super().__init__(function, targetoptions=options)
+        self.declared = types_of(signature)
+        try:
+            self.enable_caching()
+            sources = source_digest(Path(__file__).parent)
+            self._cache._cache_file = MachineCodeFiles(self._cache._cache_file, sources)
+        except (RuntimeError, AttributeError):
+            self._cache = NullCache()
+        KERNELS.append(self)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether machine code can be kept at all."""
+        return not isinstance(self._cache, NullCache)
+
+    def is_on_disk(self) -> bool:
+        """Return whether the machine code is there."""
+        if not self.is_kept:
+            return False
+        key = self._cache._index_key(self.declared, self.targetctx.codegen())
+        return key in self._cache._cache_file._load_index()
+
+    def make_ready(self) -> None:
+        """Load or compile."""
+        with global_compiler_lock:
+            if self._can_compile and Kernel.announce and not self.is_on_disk():
+                announce, Kernel.announce = Kernel.announce, None
+                announce(self)
+            if self._can_compile:
+                with _no_garbage_collected():
+                    super().compile(self.declared)
+                self.disable_compile()
+
+    def compile(self, sig: Any) -> Any:
+        """Return the machine code, whatever the types of a call: it has one signature."""
+        self.make_ready()
+        return self.overloads[self.declared].entry_point
+
+    def _compile_for_args(self, *_args: Any, **_kws: Any) -> Any:
+        """Return what is called instead of a call that met no machine code: the same, once more."""
+        self.make_ready()
+        return self
+
+
+KERNELS: list[Kernel] = []
+"""All kernels of the modules imported so far."""
+
+
+def kernel(
+    signature: str, *, nogil: bool = True, fastmath: bool = False
+) -> Callable[[Callable[..., Any]], Any]:
+    """Compile for `signature` on first call, release the interpreter lock, keep the code on disk.
+
+    A word per argument: `i` integer, `f` float, `b` truth, with the number of axes if it is an
+    array; capital letters are arrays that are written, small ones those that are read. Items are
+    neighbours in memory, but for `a`, floats of any layout. Without `nogil` short calls are faster;
+    with `fastmath` sums may be taken in another order, several terms at once.
 
     Numba takes kept code for current as long as the file of the function itself is unchanged,
     though functions of other files are inlined into it. Here the sources of all compiled functions
     beside this file count too; where Numba does not let them, nothing is kept.
     """
-    return _compiled(function, nogil=True)
+    options = OPTIONS | {"nopython": True, "nogil": nogil, "fastmath": fastmath}
+    return lambda function: Kernel(function, signature, options)
 
 
-def compiled_with_lock(function: Callable[..., Any]) -> Any:
-    """Compile as `compiled` does, but keep the interpreter lock, which makes short calls faster."""
-    return _compiled(function, nogil=False)
+def part(function: Callable[..., Any]) -> Any:
+    """Compile as part of kernels, from which alone it can be called."""
+    return njit(function, no_cpython_wrapper=True, **OPTIONS)
 
 
-def compiled_with_reordered_sums(function: Callable[..., Any]) -> Any:
-    """Compile as `compiled` does; sums may be taken in another order, several terms at once."""
-    return _compiled(function, nogil=True, fastmath=True)
+def compile_kernels(report: Callable[[float], None]) -> None:
+    """Compile all kernels of the package that are not on disk; `report` tells the fraction done."""
+    root = Path(__file__).parents[2]
+    for path in sorted(root.rglob("*.py")):
+        if b"\n@kernel(" in path.read_bytes():
+            import_module(".".join(path.relative_to(root.parent).with_suffix("").parts))
+    missing = [each for each in KERNELS if not each.is_on_disk()]
+    for count, each in enumerate(missing):
+        report(count / len(missing))
+        each.make_ready()
 
 
-def _compiled(function: Callable[..., Any], *, nogil: bool, fastmath: bool = False) -> Any:
+@contextmanager
+def announced_by(announce: Callable[[Kernel], None]) -> Iterator[None]:
+    """Call `announce` before the first kernel is compiled, if any is."""
+    Kernel.announce = announce
     try:
-        made: Any = njit(cache=True, nogil=nogil, fastmath=fastmath, error_model="numpy")(function)
-        sources = source_digest(Path(__file__).parent)
-        made._cache._cache_file = MachineCodeFiles(made._cache._cache_file, sources)
-    except (RuntimeError, AttributeError):
-        made = njit(nogil=nogil, fastmath=fastmath, error_model="numpy")(function)
-    return made
+        yield
+    finally:
+        Kernel.announce = None
+
+
+@contextmanager
+def _no_garbage_collected() -> Iterator[None]:
+    """Spare the compiler the collector, which finds little and takes a tenth of its time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def types_of(signature: str) -> tuple[types.Type, ...]:
+    """Return the types of arguments.
+
+    >>> types_of("i f2 F1")
+    (int64, Array(float64, 2, 'C', True, aligned=True), Array(float64, 1, 'C', False, aligned=True))
+    """
+    return tuple(map(_type_of, signature.split()))
+
+
+def _type_of(word: str) -> types.Type:
+    letter, n_axes = word[0], word[1:]
+    number = NUMBERS[letter.lower()]
+    if not n_axes:
+        return number
+    layout = "A" if letter == "a" else "C"
+    return types.Array(number, int(n_axes), layout, readonly=letter.islower())
 
 
 @cache
@@ -82,6 +196,6 @@ def source_digest(folder: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):
         source = path.read_bytes()
-        if b"compiled" in source or b"numba" in source:
+        if b"kernels.compilation" in source or b"numba" in source:
             digest.update(hashlib.sha256(source).digest())
     return digest.hexdigest()

@@ -9,7 +9,7 @@ Sample-major arrays come in and go out flat; a call works on samples start ... s
 
 from __future__ import annotations
 
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     BLOCK,
@@ -27,7 +27,7 @@ from asbuilt.dynamics.kernels.recursion import (
 )
 
 
-@compiled
+@part
 def _screw(rows, at):
     """Return the six rows of a screw: z, then m."""
     zx, zy, zz = vector(rows, at)
@@ -35,7 +35,7 @@ def _screw(rows, at):
     return zx, zy, zz, mx, my, mz
 
 
-@compiled
+@part
 def _inertia_times(chi, zx, zy, zz, mx, my, mz):
     """Return moment I z + h x m and force mass m - h x z of a screw."""
     hx, hy, hz, mass = chi[6], chi[7], chi[8], chi[9]
@@ -52,7 +52,7 @@ def _inertia_times(chi, zx, zy, zz, mx, my, mz):
     )
 
 
-@compiled
+@part
 def _add_to_column(rows, screws, joints, upto, column, matrix, nx, ny, nz, fx, fy, fz):
     """Add z_k . n + m_k . f to rows k of a column, for the joints at depth 0 ... upto."""
     for k in range(upto + 1):
@@ -65,7 +65,7 @@ def _add_to_column(rows, screws, joints, upto, column, matrix, nx, ny, nz, fx, f
         )
 
 
-@compiled
+@part
 def _add_mass(depth, rows, screws, chi, joints, matrix):
     """Add a link's share s_k^T I s_j, upper triangle."""
     for at in range(0, BLOCK, LANES):
@@ -77,7 +77,7 @@ def _add_mass(depth, rows, screws, chi, joints, matrix):
             )
 
 
-@compiled
+@part
 def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
     """Add a link's share s_k^T (I ds_j/dt + B s_j).
 
@@ -118,7 +118,7 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
             vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
 
 
-@compiled
+@kernel("i2 i2 f2 i f2 f1 f1 b i i F1")
 def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis, start, stop, out):
     """Write `sum_i J_i^T I_i J_i` sample-major, or with `coriolis` its Coriolis factor.
 

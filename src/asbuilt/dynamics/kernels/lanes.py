@@ -19,7 +19,7 @@ from numba import types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, lower_builtin, register_model, type_callable
 
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import part
 
 LANES = 8
 
@@ -199,7 +199,7 @@ _HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = (
 )
 
 
-@compiled
+@part
 def sine_cosine(x):
     """Return (sin x, cos x) to about 1 ulp of 1 for |x| below `LARGEST_ANGLE`.
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 
 
-@compiled
+@part
 def _into(placement, w, v, out):
     """Write the twist (w, v) of a frame as that of a frame at `placement` in it."""
     x = v[0] + w[1] * placement[2, 3] - w[2] * placement[1, 3]
@@ -24,7 +24,7 @@ def _into(placement, w, v, out):
         out[3 + k] = placement[0, k] * x + placement[1, k] * y + placement[2, k] * z
 
 
-@compiled
+@part
 def _out(placement, n, f, out):
     """Write the momentum (n, f) of a frame at `placement` as that about the frame it is in."""
     for k in range(3):
@@ -36,7 +36,7 @@ def _out(placement, n, f, out):
     out[2] += px * out[4] - py * out[3]
 
 
-@compiled
+@part
 def _turn(c, s, six):
     """Turn two vectors about z by the angle of cosine c and sine s."""
     for k in (0, 3):
@@ -44,7 +44,7 @@ def _turn(c, s, six):
         six[k], six[k + 1] = c * x - s * y, s * x + c * y
 
 
-@compiled
+@part
 def _link_momentum(chi, twist, out):
     """Write moment `I w + h x v` and force `m v - h x w` of a link."""
     wx, wy, wz, vx, vy, vz = twist[0], twist[1], twist[2], twist[3], twist[4], twist[5]
@@ -57,7 +57,7 @@ def _link_momentum(chi, twist, out):
     out[5] += m * vz - hx * wy + hy * wx
 
 
-@compiled
+@kernel("i1 b1 f3 f3 f2 f2 f2 F2 F2")
 def momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
     """Write `p = M qd` and `C^T qd = dT/dq` (N, n) of states (N, n)."""
     samples, n = q.shape
@@ -94,10 +94,11 @@ def momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
             gradient[k, i] = -along
             if parents[i] >= 0:
                 _out(before[i], moved[:3], moved[3:], at_joint[i])
-                carried[parents[i]] += at_joint[i]
+                for c in range(6):
+                    carried[parents[i], c] += at_joint[i, c]
 
 
-@compiled
+@kernel("f1 f2 f1 F2")
 def lag(share, x, start, out):
     """Write `y_k = y_(k-1) + share_k (x_k - y_(k-1))` from `start`, for x (N, m), share (N,).
 

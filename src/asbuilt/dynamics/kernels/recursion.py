@@ -21,7 +21,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import ROOT, Geometry, RobotModel
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import part
 from asbuilt.dynamics.kernels.lanes import (
     LANES,
     LARGEST_ANGLE,
@@ -133,7 +133,7 @@ def _kind_of_placement(rotation: Array, translation: Array) -> int:
     return ABOUT_X if np.any(translation) or np.any(rotation != np.eye(3)) else NOTHING
 
 
-@compiled
+@part
 def scratch(blocks):
     """Return uninitialised rows of one block each, aligned to a cache line."""
     memory = np.empty(blocks * BLOCK + LANES)
@@ -141,7 +141,7 @@ def scratch(blocks):
     return memory[first : first + blocks * BLOCK]
 
 
-@compiled
+@part
 def gather(source, start, count, n, rows, row):
     """Turn `count` samples of a sample-major array into n rows of a block.
 
@@ -157,7 +157,7 @@ def gather(source, start, count, n, rows, row):
                 rows[(row + j) * BLOCK + sample] = source[at + min(sample, count - 1) * n]
 
 
-@compiled
+@part
 def gather_states(q, qd, qdd, start, count, n, rows, row):
     """Turn `count` samples of the joints' motion into 3 n rows of a block.
 
@@ -168,7 +168,7 @@ def gather_states(q, qd, qdd, start, count, n, rows, row):
     gather(qdd, start, count, n, rows, row + 2 * n)
 
 
-@compiled
+@part
 def trigonometry(rows, angle, cosine, sine):
     """Write cosine and sine of a row."""
     for at in range(0, BLOCK, LANES):
@@ -183,13 +183,13 @@ def trigonometry(rows, angle, cosine, sine):
                     rows[cosine + sample] = math.cos(rows[angle + sample])
 
 
-@compiled
+@part
 def vector(rows, at):
     """Return the x, y and z of a vector whose three rows start at `at`."""
     return load(rows, at), load(rows, at + BLOCK), load(rows, at + 2 * BLOCK)
 
 
-@compiled
+@part
 def put(rows, at, x, y, z):
     """Write a vector into three rows; the reverse of `vector`."""
     store(rows, at, x)
@@ -197,19 +197,19 @@ def put(rows, at, x, y, z):
     store(rows, at + 2 * BLOCK, z)
 
 
-@compiled
+@part
 def add(rows, at, x, y, z):
     """Add a vector to the one in three rows."""
     put(rows, at, load(rows, at) + x, load(rows, at + BLOCK) + y, load(rows, at + 2 * BLOCK) + z)
 
 
-@compiled
+@part
 def cross(ax, ay, az, bx, by, bz):
     """Return a x b."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@compiled
+@part
 def into(kind, p, o, x, y, z):
     """Return R^T v for the rotation at p[o:o+9]."""
     if kind == ABOUT_X:
@@ -221,7 +221,7 @@ def into(kind, p, o, x, y, z):
     )
 
 
-@compiled
+@part
 def out_of(kind, p, o, x, y, z):
     """Return R v for the rotation at p[o:o+9]."""
     if kind == ABOUT_X:
@@ -233,7 +233,7 @@ def out_of(kind, p, o, x, y, z):
     )
 
 
-@compiled
+@part
 def accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):
     """Return a + dw x t + w x (w x t)."""
     cx, cy, cz = cross(wx, wy, wz, tx, ty, tz)
@@ -242,7 +242,7 @@ def accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):
     return ax + gx + ex, ay + gy + ey, az + gz + ez
 
 
-@compiled
+@part
 def rest(rows, gravity):
     """Fill slot 0: the root stands still and accelerates against free fall."""
     for at in range(0, BLOCK, LANES):
@@ -252,7 +252,7 @@ def rest(rows, gravity):
             store(rows, (6 + j) * BLOCK + at, splat(-gravity[j]))
 
 
-@compiled
+@part
 def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
     """Carry w, dw, a from the parent's slot to the link's; positions in `rows` are of doubles."""
     for at in range(0, BLOCK, LANES):
@@ -295,7 +295,7 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
         put(rows, w + 6 * BLOCK, ax, ay, az)
 
 
-@compiled
+@part
 def move_screws(code, p, rows, read, write, angle, cosine, sine):
     """Carry the screws of all joints above to the link's slot and add that of its own joint."""
     before, after, revolute, depth = code[BEFORE], code[AFTER], code[REVOLUTE], code[DEPTH]

@@ -16,7 +16,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.batches import flat, inertial_parameters
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,
@@ -113,14 +113,14 @@ def regressor_adjoint(
     return out[0], out[1], out[2]
 
 
-@compiled
+@part
 def _clear(rows, start, count):
     for row in range(count):
         for at in range(0, BLOCK, LANES):
             store(rows, start + row * BLOCK + at, splat(0.0))
 
 
-@compiled
+@part
 def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
     """Add the adjoints of `z . moment + m . force` of a link with ten rows of parameters.
 
@@ -185,7 +185,7 @@ def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         put(rows, b + 6 * BLOCK, vx + mass * mx + cx, vy + mass * my + cy, vz + mass * mz + cz)
 
 
-@compiled
+@part
 def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
     """Return the derivative of b . (w x (w x t)) with respect to w."""
     wt, bw, bt = (
@@ -200,7 +200,7 @@ def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
     )
 
 
-@compiled
+@part
 def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine, sine, bars):
     """Carry the adjoint of w, dw, a of a link to its parent.
 
@@ -271,7 +271,7 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
             add(rows, b + 6 * BLOCK, fx, fy, fz)
 
 
-@compiled
+@part
 def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine, bar):
     """Carry the adjoints of the screws of the joints above to the parent link.
 
@@ -316,7 +316,7 @@ def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine
             add(rows, b + 3 * BLOCK, nx, ny, nz)
 
 
-@compiled
+@kernel("i2 i2 f2 f1 i3 f1 i f1 f2 f1 f1 f1 i F1 F1 F1")
 def _adjoint(
     codes,
     chain,

@@ -10,7 +10,7 @@ threads share one array.
 
 from __future__ import annotations
 
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, load_every, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,
@@ -43,7 +43,7 @@ FORCE = 6
 """Rows of a force and a moment."""
 
 
-@compiled
+@part
 def _link_terms(rows, state, terms):
     """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
     for at in range(0, BLOCK, LANES):
@@ -61,12 +61,12 @@ def _link_terms(rows, state, terms):
         put(rows, t + 18 * BLOCK, ax, ay, az)
 
 
-@compiled
+@part
 def _position(row, stride, start):
     return row * stride + start if row >= 0 else row
 
 
-@compiled
+@part
 def _columns_of_link(rows, screw, terms, places, out, stride, start):
     """Write z . (moment) + m .
 
@@ -162,7 +162,7 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
             store(out, o9 + at, mx * ax + my * ay + mz * az)
 
 
-@compiled
+@part
 def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
     """Run down the tree with the block in `rows` and write the chosen columns.
 
@@ -196,37 +196,8 @@ def _regressor_block(codes, chain, placements, n_slots, places, rows, out, strid
             )
 
 
-@compiled
-def regressor_rows(
-    codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride
-):
-    """Write the regressor with samples innermost.
-
-    One row of `out` per joint and chosen column, `stride` numbers long.
-
-    `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the
-    first row of joint k and the row after its last.
-    """
-    n = codes.shape[0]
-    rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
-    angles = n_slots * (STATE + 6 * n) + TERMS
-    tail = scratch(bounds[n - 1, 1] if (stop - start) % BLOCK else 0)
-    rest(rows, gravity)
-    for block in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - block)
-        gather_states(q, qd, qdd, block, count, n, rows, angles)
-        if count == BLOCK:
-            _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, block)
-        else:
-            _regressor_block(codes, chain, placements, n_slots, places, rows, tail, BLOCK, 0)
-            for k in range(n):
-                for row in range(bounds[k, 0], bounds[k, 1]):
-                    for sample in range(count):
-                        out[row * stride + block + sample] = tail[row * BLOCK + sample]
-
-
-@compiled
-def regressor_stack(
+@kernel("i2 i2 f2 f1 i i3 i2 i1 f1 f1 f1 i i F1 i")
+def regressor(
     codes,
     chain,
     placements,
@@ -243,43 +214,56 @@ def regressor_stack(
     out,
     width,
 ):
-    """Write the regressor sample-major.
+    """Write the regressor with samples innermost, or sample-major if `columns` are given.
 
-    Row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the
-    rest.
-
-    `columns` increases within a joint, so that neighbours can be moved by the vector.
+    `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the
+    first row of joint k and the row after its last. Without `columns` there is one row of `out`,
+    `width` numbers long, per joint and chosen parameter. With them, `columns[row]` is written of
+    row n sample + k of `out`, and the rest left; `columns` increases within a joint, so that
+    neighbours can be moved by the vector.
     """
-    n = codes.shape[0]
+    n, by_sample = codes.shape[0], columns.size > 0
     rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
     angles = n_slots * (STATE + 6 * n) + TERMS
-    tile = scratch(bounds[n - 1, 1])
+    tile = scratch(bounds[n - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
         gather_states(q, qd, qdd, block, count, n, rows, angles)
-        _regressor_block(codes, chain, placements, n_slots, places, rows, tile, BLOCK, 0)
-        for k in range(n):
-            row = bounds[k, 0]
-            while row < bounds[k, 1]:
-                neighbours = (
-                    row + LANES <= bounds[k, 1]
-                    and columns[row + LANES - 1] - columns[row] == LANES - 1
-                )
-                o = (block * n + k) * width + columns[row]
-                for sample in range(count):
-                    if neighbours:
-                        store(
-                            out,
-                            o + sample * n * width,
-                            load_every(tile, row * BLOCK + sample, BLOCK),
-                        )
-                    else:
-                        out[o + sample * n * width] = tile[row * BLOCK + sample]
-                row += LANES if neighbours else 1
+        at_once = count == BLOCK and not by_sample
+        # one call, which is inlined and compiled once
+        target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
+        _regressor_block(codes, chain, placements, n_slots, places, rows, target, stride, first)
+        if by_sample:
+            _write_samples(tile, bounds, columns, block, count, out, width)
+        elif not at_once:
+            for k in range(n):
+                for row in range(bounds[k, 0], bounds[k, 1]):
+                    for sample in range(count):
+                        out[row * width + block + sample] = tile[row * BLOCK + sample]
 
 
-@compiled
+@part
+def _write_samples(tile, bounds, columns, block, count, out, width):
+    """Write the rows of a block sample-major, neighbouring columns by the vector."""
+    n = bounds.shape[0]
+    for k in range(n):
+        row = bounds[k, 0]
+        while row < bounds[k, 1]:
+            neighbours = (
+                row + LANES <= bounds[k, 1] and columns[row + LANES - 1] - columns[row] == LANES - 1
+            )
+            o = (block * n + k) * width + columns[row]
+            for sample in range(count):
+                if neighbours:
+                    eight = load_every(tile, row * BLOCK + sample, BLOCK)
+                    store(out, o + sample * n * width, eight)
+                else:
+                    out[o + sample * n * width] = tile[row * BLOCK + sample]
+            row += LANES if neighbours else 1
+
+
+@part
 def _wrench(rows, state, force, chi):
     """Write force and moment about its origin that the motion of a link requires.
 
@@ -304,7 +288,7 @@ def _wrench(rows, state, force, chi):
         put(rows, f + 3 * BLOCK, nx, ny, nz)
 
 
-@compiled
+@part
 def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
     """Write the joint torque of a link's wrench and add the wrench to that of the parent link."""
     for at in range(0, BLOCK, LANES):
@@ -335,7 +319,7 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
             add(rows, f + 3 * BLOCK, nx, ny, nz)
 
 
-@compiled
+@kernel("i2 f2 f1 f2 f1 f1 f1 i i F1")
 def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
     """Write joint torques, sample-major, by the recursion of Luh, Walker and Paul (1980).
 

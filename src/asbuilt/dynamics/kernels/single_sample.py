@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import math
 
-from asbuilt.dynamics.kernels.compilation import compiled, compiled_with_lock
+import numpy as np
+
+from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.operations import STACK
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,
@@ -37,15 +39,16 @@ CODES = 7
 """Codes of a link."""
 STATE, WRENCH = 9, 6
 """Numbers per link of the recursion: w, dw, a; force, moment."""
+WORK_PER_LINK, MORE_WORK = 30, 12 + STACK
+"""Numbers of the work space."""
 
 
-@compiled
-def work_size(n):
+def work_size(n: int) -> int:
     """Return the size of the work space for n joints."""
-    return 30 * n + 12 + STACK
+    return WORK_PER_LINK * n + MORE_WORK
 
 
-@compiled
+@part
 def _move(codes, i, p, o, q, c, s, v, dv, x):
     """Return w, dw, a of a link from those of its parent, `x`."""
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
@@ -75,7 +78,7 @@ def _move(codes, i, p, o, q, c, s, v, dv, x):
     return wx, wy, wz, dx, dy, dz, ax, ay, az
 
 
-@compiled
+@part
 def _wrench_of(p, o, x):
     """Return force and moment about the link origin that the motion `x` of a link requires."""
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
@@ -96,7 +99,7 @@ def _wrench_of(p, o, x):
     )
 
 
-@compiled
+@part
 def _to_joint(codes, i, p, o, f):
     """Return a wrench in link axes about the link origin as one in the axes of the joint."""
     fx, fy, fz, nx, ny, nz = f
@@ -108,7 +111,7 @@ def _to_joint(codes, i, p, o, f):
     return fx, fy, fz, nx, ny, nz
 
 
-@compiled
+@part
 def _to_parent(codes, i, p, o, q, c, s, f):
     """Return a wrench in axes of the joint as one in axes of the parent link."""
     fx, fy, fz, nx, ny, nz = f
@@ -125,7 +128,7 @@ def _to_parent(codes, i, p, o, q, c, s, f):
     return fx, fy, fz, nx, ny, nz
 
 
-@compiled
+@part
 def _finite(n, q, qd, qdd):
     if q.size != n or qd.size != n or qdd.size != n:
         return False
@@ -135,7 +138,7 @@ def _finite(n, q, qd, qdd):
     return total == 0.0
 
 
-@compiled
+@part
 def _trigonometry(n, q, cosines, sines):
     """Write cosines and sines of all positions.
 
@@ -145,13 +148,13 @@ def _trigonometry(n, q, cosines, sines):
         cosines[k], sines[k] = math.cos(q[k]), math.sin(q[k])
 
 
-@compiled_with_lock
+@kernel("i1 F1 a1 a1 a1 F1", nogil=False)
 def torque(codes, numbers, q, qd, qdd, out):
     """Write the joint torques of rigid bodies and drives (Luh, Walker and Paul, 1980)."""
     n = out.size
     if not _finite(n, q, qd, qdd):
         return False
-    work = numbers[numbers.size - work_size(n) :]
+    work = numbers[numbers.size - WORK_PER_LINK * n - MORE_WORK :]
     cosines, sines, states = work, work[n:], work[2 * n :]
     wrenches = states[STATE * n :]
     _trigonometry(n, q, cosines, sines)
@@ -198,25 +201,27 @@ def torque(codes, numbers, q, qd, qdd, out):
                 wrenches[r + k] += f[k]
     if codes.size > CODES * n:
         loads, stack = wrenches[WRENCH * n :], wrenches[(WRENCH + 1) * n :]
-        loads[:n] = out
+        for k in range(n):
+            loads[k] = out[k]
         run(codes, CODES * n, numbers, g + 3, q, qd, qdd, loads, stack, out)
     return True
 
 
-@compiled
+@part
 def _turned(p, o, b, at):
     """Return parameters b[at:at+10] in axes turned by R = p[o:o+9]: `R I R^T`, `R h`, m."""
-    ax, ay, az = out_of(GENERAL, p, o, b[at], b[at + 1], b[at + 2])
-    bx, by, bz = out_of(GENERAL, p, o, b[at + 1], b[at + 3], b[at + 4])
-    cx, cy, cz = out_of(GENERAL, p, o, b[at + 2], b[at + 4], b[at + 5])
-    xx, xy, xz = out_of(GENERAL, p, o, ax, bx, cx)
-    _, yy, yz = out_of(GENERAL, p, o, ay, by, cy)
-    _, _, zz = out_of(GENERAL, p, o, az, bz, cz)
-    hx, hy, hz = out_of(GENERAL, p, o, b[at + 6], b[at + 7], b[at + 8])
+    general = np.int64(GENERAL)
+    ax, ay, az = out_of(general, p, o, b[at], b[at + 1], b[at + 2])
+    bx, by, bz = out_of(general, p, o, b[at + 1], b[at + 3], b[at + 4])
+    cx, cy, cz = out_of(general, p, o, b[at + 2], b[at + 4], b[at + 5])
+    xx, xy, xz = out_of(general, p, o, ax, bx, cx)
+    _, yy, yz = out_of(general, p, o, ay, by, cy)
+    _, _, zz = out_of(general, p, o, az, bz, cz)
+    hx, hy, hz = out_of(general, p, o, b[at + 6], b[at + 7], b[at + 8])
     return xx, xy, xz, yy, yz, zz, hx, hy, hz, b[at + 9]
 
 
-@compiled
+@part
 def _shifted(x, y, z, b):
     """Return inertial parameters about an origin from which the old one lies at t = (x, y, z).
 
@@ -237,7 +242,7 @@ def _shifted(x, y, z, b):
     )
 
 
-@compiled
+@part
 def _place(code, i, p, o, q, c, s, parent, frames, f, screw):
     """Write rotation and origin of a link in the root frame and the screw (z, m) of its joint."""
     for k in range(3):
@@ -264,7 +269,7 @@ def _place(code, i, p, o, q, c, s, parent, frames, f, screw):
         screw[3], screw[4], screw[5] = zx, zy, zz
 
 
-@compiled_with_lock
+@kernel("i1 F1 a1 F2", nogil=False)
 def mass_matrix(codes, numbers, q, out):
     """Write `M_ij = s_i . I_j s_j` into zeros, I_j the bodies moved by joint j, i above j.
 
@@ -273,7 +278,7 @@ def mass_matrix(codes, numbers, q, out):
     n = out.shape[0]
     if not _finite(n, q, q, q):
         return False
-    work = numbers[numbers.size - work_size(n) :]
+    work = numbers[numbers.size - WORK_PER_LINK * n - MORE_WORK :]
     cosines, sines, frames = work, work[n:], work[2 * n :]
     bodies, screws = frames[12 * n + 12 :], frames[22 * n + 12 :]
     _trigonometry(n, q, cosines, sines)

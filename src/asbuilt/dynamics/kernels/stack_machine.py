@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import part
 from asbuilt.dynamics.kernels.operations import (
     ABS,
     ACT,
@@ -37,7 +37,7 @@ from asbuilt.dynamics.kernels.operations import (
 )
 
 
-@compiled
+@part
 def run(program, first, numbers, constants, q, qd, qdd, load, stack, out):
     """Add the torques of a drive program, `program[first:]`."""
     top = -1
@@ -70,7 +70,7 @@ def run(program, first, numbers, constants, q, qd, qdd, load, stack, out):
             stack[top] = _unary(operation, stack[top])
 
 
-@compiled
+@part
 def _binary(operation, a, b):
     if operation == ADD:
         return a + b
@@ -89,7 +89,7 @@ def _binary(operation, a, b):
     return np.nan
 
 
-@compiled
+@part
 def _unary(operation, x):
     if operation == NEGATIVE:
         return -x

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.batches import flat, joint_samples
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     BLOCK,
@@ -94,12 +94,12 @@ def torque_derivatives(
     return out
 
 
-@compiled
+@part
 def _dot(ax, ay, az, bx, by, bz):
     return ax * bx + ay * by + az * bz
 
 
-@compiled
+@part
 def _turned(rows, at, p, o, to):
     """Write R P for the rotation R in nine rows and the rotation P at p[o:o+9]."""
     for row in range(3):
@@ -112,7 +112,7 @@ def _turned(rows, at, p, o, to):
             )
 
 
-@compiled
+@part
 def _moved(rows, at, x, y, z):
     """Return R (x, y, z) for the rotation in nine rows."""
     return (
@@ -126,7 +126,7 @@ def _moved(rows, at, x, y, z):
     )
 
 
-@compiled
+@part
 def _rest(rows, gravity):
     """Let the root stand still at the origin and accelerate against free fall."""
     for at in range(0, BLOCK, LANES):
@@ -137,7 +137,7 @@ def _rest(rows, gravity):
             store(rows, (CHANGE + 3 + axis) * BLOCK + at, splat(-gravity[axis]))
 
 
-@compiled
+@part
 def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
     """Write the motion of a link from that of its parent."""
     for at in range(0, BLOCK, LANES):
@@ -145,7 +145,7 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
         x, y, z = _moved(rows, u + POSE * BLOCK, splat(p[9]), splat(p[10]), splat(p[11]))
         px, py, pz = vector(rows, u + PLACE * BLOCK)
         px, py, pz = px + x, py + y, pz + z
-        _turned(rows, u + POSE * BLOCK, p, 0, r + POSE * BLOCK)
+        _turned(rows, u + POSE * BLOCK, p, np.int64(0), r + POSE * BLOCK)
         zx, zy, zz = load(rows, r + 2 * BLOCK), load(rows, r + 5 * BLOCK), load(rows, r + 8 * BLOCK)
         if code[REVOLUTE]:
             sx, sy, sz = zx, zy, zz
@@ -163,7 +163,7 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
             px, py, pz = px + zx * d, py + zy * d, pz + zz * d
         x, y, z = _moved(rows, r + POSE * BLOCK, splat(p[21]), splat(p[22]), splat(p[23]))
         put(rows, r + PLACE * BLOCK, px + x, py + y, pz + z)
-        _turned(rows, r + POSE * BLOCK, p, 12, r + POSE * BLOCK)
+        _turned(rows, r + POSE * BLOCK, p, np.int64(12), r + POSE * BLOCK)
         put(rows, r + SCREW * BLOCK, sx, sy, sz)
         put(rows, r + (SCREW + 3) * BLOCK, tx, ty, tz)
 
@@ -206,7 +206,7 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
         )
 
 
-@compiled
+@part
 def _embody(rows, motion, body, chi):
     """Write what the parameters of one link are in the root frame, and its momentum and wrench."""
     for at in range(0, BLOCK, LANES):
@@ -277,14 +277,14 @@ def _embody(rows, motion, body, chi):
         put(rows, b + (WRENCH + 3) * BLOCK, ex + fx + ax * m, ey + fy + ay * m, ez + fz + az * m)
 
 
-@compiled
+@part
 def _add(rows, source, target):
     for row in range(BODY):
         for at in range(row * BLOCK, (row + 1) * BLOCK, LANES):
             store(rows, target + at, load(rows, target + at) + load(rows, source + at))
 
 
-@compiled
+@part
 def _pairs(code, chain, rows, motions, body, i, n, tile):
     """Write the derivatives between a joint and those above it.
 
@@ -376,7 +376,7 @@ def _pairs(code, chain, rows, motions, body, i, n, tile):
             put(rows, up, by_position, by_velocity, inertia)
 
 
-@compiled
+@kernel("i2 i2 f2 f1 f3 f1 f1 f1 i F1")
 def _derivatives(codes, chain, placements, gravity, chi, q, qd, qdd, n_samples, out):
     n, n_sets = codes.shape[0], chi.shape[0]
     motions = MOTION * BLOCK

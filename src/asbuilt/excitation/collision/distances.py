@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 
 PARALLEL = 1e-12
 """Squared sine of the angle below which segments count as parallel, and squared length [m^2] below
@@ -71,7 +71,7 @@ def nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Arra
     return points, distances, normals
 
 
-@compiled
+@part
 def _signed(x, y, z, half):
     a, b, c = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
     deepest = max(a, b, c)
@@ -81,7 +81,7 @@ def _signed(x, y, z, half):
     return math.sqrt(a * a + b * b + c * c)
 
 
-@compiled
+@kernel("f2 f2 f1 F2 F1 F2")
 def _sections(start, along, half, points, distances, normals):
     for i in range(start.shape[0]):
         x, y, z = start[i, 0], start[i, 1], start[i, 2]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel
 from asbuilt.errors import UsageError
 
 AT_ONCE = 4
@@ -126,7 +126,7 @@ def _steady_state(sections: bytes, count: int) -> Array:
     return np.asarray(signal.sosfilt_zi(np.frombuffer(sections).reshape(count, 6)))
 
 
-@compiled
+@kernel("F2 f2 f2")
 def _filter_in_place(rows: Array, sections: Array, steady: Array) -> None:
     """Filter rows (4 k, L) forwards and backwards by second-order sections.
 

@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import as_strided
 from scipy import optimize, signal
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
@@ -174,7 +174,7 @@ def _has_rows_in_memory(x: Array) -> bool:
     return x.size > 0 and step == x.itemsize and apart >= x.shape[1] * step
 
 
-@compiled
+@kernel("f1 i i f1 i F1 i i")
 def _filter_rows(
     memory: Array,
     stride: int,
@@ -192,38 +192,32 @@ def _filter_rows(
     over its inputs in order. The last outputs are summed with some before them again; fewer than
     eight come from a copy with zeros behind.
     """
-    span = weights.size // LANES
-    padded = np.zeros(EIGHT * span if count < LANES else 0)
+    span, few = weights.size // LANES, count < LANES
+    padded = np.zeros(EIGHT * span if few else 0)
     found = np.empty(EIGHT * LANES)
     for first in range(0, rows, EIGHT):
-        if count < LANES:
+        if few:
             for r in range(min(EIGHT, rows - first)):
                 begin = (first + r) * stride
                 taken = span - (LANES - count) * decimation
                 for j in range(taken):
                     padded[r * span + j] = memory[begin + j]
-            _eight_rows(padded, 0, span, EIGHT - 1, weights, span, found, 0, LANES)
+        below = min(rows - 1 - first, EIGHT - 1)
+        source, apart = (padded, span) if few else (memory, stride)
+        target, target_apart = (found, np.int64(LANES)) if few else (out, out_stride)
+        # one call, which is inlined and compiled once
+        for k in range(0, count, LANES):
+            at = min(k, count - LANES)
+            begin = 0 if few else first * stride + at * decimation
+            to = 0 if few else first * out_stride + at
+            _eight_rows(source, begin, apart, below, weights, span, target, to, target_apart)
+        if few:
             for r in range(min(EIGHT, rows - first)):
                 for k in range(count):
                     out[(first + r) * out_stride + k] = found[r * LANES + k]
-            continue
-        below = min(rows - 1 - first, EIGHT - 1)
-        for k in range(0, count, LANES):
-            at = min(k, count - LANES)
-            _eight_rows(
-                memory,
-                first * stride + at * decimation,
-                stride,
-                below,
-                weights,
-                span,
-                out,
-                first * out_stride + at,
-                out_stride,
-            )
 
 
-@compiled
+@part
 def _eight_rows(
     memory: Array,
     at: int,

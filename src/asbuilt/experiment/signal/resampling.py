@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, advancing
 from asbuilt.experiment.signal.bridging import bridged
@@ -61,7 +61,9 @@ def uniform_segments(
         If nothing is left, or `rate` is far above that of the log.
     """
     n = recording.n_samples
-    kept = np.isfinite(recording.t) & _finite_rows(recording.q) & _finite_rows(recording.tau)
+    kept = np.isfinite(recording.t)
+    for values in (recording.q, recording.tau):
+        _keep_finite(values, kept)
     notes: list[str] = []
     if not kept.all():
         notes.append(
@@ -188,17 +190,15 @@ def _slice_of(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return rows
 
 
-@compiled
-def _finite_rows(values: Array) -> Mask:
-    """Return which rows of (N, m) are finite."""
-    finite = np.ones(values.shape[0], dtype=np.bool_)
+@kernel("a2 B1")
+def _keep_finite(values: Array, finite: Mask) -> None:
+    """Unmark rows of (N, m) that are not finite."""
     for k in range(values.shape[0]):
         for j in range(values.shape[1]):
             finite[k] &= np.isfinite(values[k, j])
-    return finite
 
 
-@compiled
+@kernel("B1 a2")
 def _add_changes(changed: Mask, values: Array) -> None:
     """Mark rows of (N, m) that differ from the row before."""
     for k in range(1, values.shape[0]):

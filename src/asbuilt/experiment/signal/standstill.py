@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel
 
 SLOW = 0.003
 """Share of a joint's top speed below which it may be at rest."""
@@ -58,7 +58,7 @@ def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, in
     return _runs(keep)
 
 
-@compiled
+@kernel("B1 f")
 def _keep_lasting(mask: Mask, samples: float) -> None:
     """Set runs of true values that are shorter than `samples` to false."""
     length = 0

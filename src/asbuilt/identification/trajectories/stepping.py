@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.operations import STACK
 from asbuilt.dynamics.kernels.recursion import PARENT
 from asbuilt.dynamics.kernels.single_sample import CODES, PER_LINK, mass_matrix, torque
@@ -31,7 +31,7 @@ LOST = 1e4
 """Velocity from which a simulation counts as diverged."""
 
 
-@compiled
+@part
 def factored(A, first, n):
     """Write the lower Cholesky factor over A; return False if A is not positive definite.
 
@@ -50,7 +50,7 @@ def factored(A, first, n):
     return True
 
 
-@compiled
+@part
 def solved(L, first, x, n):
     """Overwrite x by the solution of `L L^T y = x` for a factor of `factored`."""
     for i in range(n):
@@ -63,7 +63,7 @@ def solved(L, first, x, n):
             x[k] -= L[i, k] * x[i]
 
 
-@compiled
+@part
 def _row_starts(codes, moved_by, rotors, damping, first):
     """Write the column at which each row (n,) of the mass matrix begins, by the branches."""
     for k in range(first.size):
@@ -81,7 +81,7 @@ def _row_starts(codes, moved_by, rotors, damping, first):
             j = codes[CODES * j + PARENT]
 
 
-@compiled
+@part
 def _rigid_bodies(codes, numbers, moved_by, shares, offset, q, v, zero, tree, masses, M, bias):
     """Write mass matrix and torque without acceleration; return whether they are finite.
 
@@ -89,14 +89,16 @@ def _rigid_bodies(codes, numbers, moved_by, shares, offset, q, v, zero, tree, ma
     `tree` (4, n_links) and `masses` (n_links, n_links) are work space.
     """
     M[:] = 0.0
-    if shares.size == 0:
-        return mass_matrix(codes, numbers, q, M) and torque(codes, numbers, q, v, zero, bias)
-    masses[:], bias[:] = 0.0, 0.0
+    own = shares.size == 0
+    if not own:
+        masses[:], bias[:] = 0.0, 0.0
     for i in range(shares.size):
         k = moved_by[i]
         tree[0, i], tree[1, i], tree[2, i] = shares[i] * q[k] + offset[i], shares[i] * v[k], 0.0
-    good = mass_matrix(codes, numbers, tree[0], masses) and torque(
-        codes, numbers, tree[0], tree[1], tree[2], tree[3]
+    # one call each, which is inlined and compiled once
+    x, dx, ddx = (q, v, zero) if own else (tree[0], tree[1], tree[2])
+    good = mass_matrix(codes, numbers, x, M if own else masses) and torque(
+        codes, numbers, x, dx, ddx, bias if own else tree[3]
     )
     for i in range(shares.size):
         bias[moved_by[i]] += shares[i] * tree[3, i]
@@ -105,7 +107,7 @@ def _rigid_bodies(codes, numbers, moved_by, shares, offset, q, v, zero, tree, ma
     return good
 
 
-@compiled
+@part
 def _split_drive(program, links, numbers, q, v, load, away, zero, stack, even, odd):
     """Write the parts of the drive torques that do not and do change sign with the velocity."""
     n = q.size
@@ -124,7 +126,7 @@ def _split_drive(program, links, numbers, q, v, load, away, zero, stack, even, o
         even[k], odd[k] = 0.5 * (ahead + back), 0.5 * (ahead - back)
 
 
-@compiled
+@part
 def _rubbed(L, first, h, odd, friction, v, W, column, n):
     """Change free velocities v to those under dry friction, whose impulses are kept.
 
@@ -169,7 +171,7 @@ def _rubbed(L, first, h, odd, friction, v, W, column, n):
             break
 
 
-@compiled
+@kernel("i1 i1 F1 i1 f1 f1 f2 f2 f1 f1 f1 f1 f1 b f3 f F3 F3 F3 F3")
 def simulate(
     codes,
     program,
@@ -276,13 +278,13 @@ def simulate(
                 state[w, s, k] = sign + (4.0 if full[k] else 0.0)
 
 
-@compiled
+@part
 def _sign(state):
     """Return the direction in which a joint moves, zero at rest."""
     return state - 4.0 if state > 2.0 else state
 
 
-@compiled
+@part
 def _kept(state, accelerations, s, k):
     """Return the share of a change of velocity that joint k keeps in step s; -1 where it moves on.
 
@@ -300,7 +302,7 @@ def _kept(state, accelerations, s, k):
     return min(max(accelerations[after, k] / accelerations[before, k], 0.0), 1.0)
 
 
-@compiled
+@kernel("i1 f4 f4 f4 f2 f2 f3 f3 f3 f3 f4 f i F4")
 def sensitivities(
     joints,
     by_position,
@@ -350,7 +352,7 @@ def sensitivities(
         for i in range(m):
             dq[i, known + i], dv[i, known + m + i] = 1.0, 1.0
         for s in range(steps):
-            moving = 0
+            moving = np.int64(0)
             for i in range(m):
                 kept[i] = _kept(state[w], accelerations[w], s, joints[i])
                 if kept[i] < 0.0:
@@ -407,4 +409,6 @@ def sensitivities(
                 for c in range(p):
                     dq[i, c] += h * dv[i, c]
             if (s + 1) % every == 0:
-                out[w, (s + 1) // every - 1] = dq
+                for i in range(m):
+                    for c in range(p):
+                        out[w, (s + 1) // every - 1, i, c] = dq[i, c]

@@ -16,16 +16,12 @@ from asbuilt.identification.result.summary import Summary
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
-from asbuilt.writers.figures.cutoff_figure import cutoff_figure
-from asbuilt.writers.figures.figure_style import save_figure
-from asbuilt.writers.figures.torque_figure import torque_figure
 from asbuilt.writers.files import atomic_write, file_set
 from asbuilt.writers.models.as_built import as_built, keeping_described_drives
 from asbuilt.writers.models.export import load_note, urdf_to_edit
 from asbuilt.writers.models.physical import impossibilities
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
-from asbuilt.writers.reports.report import write_report
 from asbuilt.writers.tables.drive_tables import motor_side_table
 from asbuilt.writers.tables.mass_table import ExportedMasses, exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
@@ -171,6 +167,10 @@ def _write_tables(folder: Path, study: Study, payload: Payload | None) -> dict[s
 def _write_members(
     folder: Path, study: Study, payload: Payload | None, command: Sequence[str]
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+    from asbuilt.writers.figures.cutoff_figure import cutoff_figure  # noqa: PLC0415 - light start
+    from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
+    from asbuilt.writers.reports.report import write_report  # noqa: PLC0415 - light start
+
     result = study.result
     files = _write_tables(folder, study, payload)
     if payload is not None:
@@ -241,6 +241,9 @@ def write_validations(
 
 
 def _draw(path: Path, result: IdentificationResult, shown: Validation) -> Path:
+    from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
+    from asbuilt.writers.figures.torque_figure import torque_figure  # noqa: PLC0415 - light start
+
     figure = torque_figure(
         shown.t,
         shown.measured,

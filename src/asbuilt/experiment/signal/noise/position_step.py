@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import compiled_with_reordered_sums
+from asbuilt.dynamics.kernels.compilation import kernel
 
 MOST_DIFFERENCES = 20_000
 """Differences of a joint that are used; of longer recordings every second, third, ..."""
@@ -83,7 +83,7 @@ def _candidates(size: Array) -> Array:
     return np.unique(found)[::-1]
 
 
-@compiled_with_reordered_sums
+@kernel("f1 f", fastmath=True)
 def _refined(size: Array, step: float) -> float:
     """Return the least-squares step of the differences that are near multiples of `step`.
 
@@ -103,7 +103,7 @@ def _refined(size: Array, step: float) -> float:
     return step
 
 
-@compiled_with_reordered_sums
+@kernel("f1 f", fastmath=True)
 def _share(size: Array, step: float) -> float:
     """Return the share of differences that are near multiples of `step`."""
     count = 0.0
