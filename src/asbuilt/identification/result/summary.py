@@ -66,6 +66,8 @@ class Summary:
         Assumptions: the standard errors, what is determined, then the estimator's decisions.
     verdict
         What forbids to use the result, in capitals; empty if nothing does.
+    effects
+        What CAD lacks and the recordings show, with where it is: in the model or not.
     """
 
     title: str
@@ -75,6 +77,7 @@ class Summary:
     joints: Table
     notes: tuple[str, ...]
     verdict: str = ""
+    effects: tuple[tuple[str, str], ...] = ()
 
     def __str__(self) -> str:
         return self.as_text()
@@ -96,6 +99,7 @@ class Summary:
         rule = "-" * WIDTH
         parts = [wrapped(self.verdict)] if self.verdict else []
         parts += [wrapped(self.title), *_heading_lines(self.heading)]
+        parts += [wrapped(text, f"{label:<14} ") for label, text in self.effects]
         if self.findings:
             parts += [rule, *finding_lines(self.findings, full, cure_text)]
         parts += [rule, self.joints.as_text(full).rstrip("\n")]
@@ -107,7 +111,7 @@ class Summary:
         """Return a fragment: heading, findings, both tables and the notes, every text escaped."""
         pairs = "".join(
             f"<dt>{html.escape(label)}</dt><dd>{html.escape(text)}</dd>"
-            for label, text in self.heading
+            for label, text in (*self.heading, *self.effects)
         )
         findings, notes = (
             "".join(f"<li>{html.escape(text)}</li>" for text in texts)
@@ -181,6 +185,10 @@ def summarise(
             *result.notes,
         ),
         verdict=_verdict(result),
+        effects=tuple(
+            ("in the model" if each.in_model else "not in model", each.text)
+            for each in result.effects
+        ),
     )
 
 
