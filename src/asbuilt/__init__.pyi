@@ -105,5 +105,6 @@ from .writers.reports.fleet_report import write_fleet_report as write_fleet_repo
 from .writers.reports.report import write_report as write_report
 from .writers.reports.study_files import write_result as write_result
 from .writers.reports.study_files import write_study as write_study
+from .writers.schemas import json_schema as json_schema
 
 __version__: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import pkgutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from importlib import import_module
 from typing import Any, TypeVar
@@ -22,6 +22,38 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """
     near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}? " if near else ""
+
+
+def known_fields(schema: Mapping[str, Any], location: Sequence[int | str]) -> list[str]:
+    """Return the fields that a JSON Schema allows at a place, such as `("links", 0, "drive")`.
+
+    Steps that name a variant of a union, as pydantic's errors have them, lead nowhere else.
+
+    >>> schema = {"properties": {"units": {"properties": {"time": {}}}}}
+    >>> known_fields(schema, ()), known_fields(schema, ("units",))
+    (['units'], ['time'])
+    """
+    places = _variants(schema, schema)
+    for step in location:
+        inner = [_inside(place, step) for place in places]
+        found = [each for place in inner if place is not None for each in _variants(place, schema)]
+        places = found or places
+    return [name for place in places for name in place.get("properties", {})]
+
+
+def _variants(place: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return a place of a schema, or the members of its union, with references resolved."""
+    if "$ref" in place:
+        return _variants(schema["$defs"][place["$ref"].rpartition("/")[2]], schema)
+    members = [*place.get("anyOf", ()), *place.get("allOf", ())]
+    return [each for member in members for each in _variants(member, schema)] or [place]
+
+
+def _inside(place: Mapping[str, Any], step: int | str) -> Mapping[str, Any] | None:
+    """Return the part of a place at a field or an index, None if there is none."""
+    further = place.get("items" if isinstance(step, int) else "additionalProperties")
+    inner = place.get("properties", {}).get(step, further)
+    return inner if isinstance(inner, Mapping) else None
 
 
 def shared_settings(settings: Mapping[str, Any], *groups: type[Any]) -> list[dict[str, Any]]:

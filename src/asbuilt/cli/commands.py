@@ -59,6 +59,13 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "link_masses",
             compiles=False,
         ),
+        "schema": Entry(
+            "robot",
+            "Print the JSON Schema of robot files or recording sheets.",
+            ("robot -o robot.schema.json", "sheet"),
+            "json_schema",
+            compiles=False,
+        ),
         "convert": Entry(
             "robot",
             "Write a robot description in another format.",

@@ -84,6 +84,31 @@ def show(
     )
 
 
+def schema(
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="robot (robot file) or sheet (recording sheet)")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="FILE", help="file to write [default: print]", callback=writable_file
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print or write the JSON Schema of a file that people write.
+
+    An editor then checks and completes it: its first line is `#:schema ./FILE`.
+    """
+    from asbuilt.codec import json_text
+    from asbuilt.writers.schemas import json_schema, write_schema
+
+    content = json_schema(kind)
+    files = {} if out is None else {"schema": write_schema(kind, out)}
+    text = listed_files(files) if files else json_text(content)
+    answer(as_json, lambda: content, lambda: text)
+
+
 def base(
     robot: Robot,
     drive: Drive = "none",

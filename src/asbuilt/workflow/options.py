@@ -166,7 +166,11 @@ class StudyOptions:
         parse=_drive,
     )
     method: str = _option(
-        "auto", "NAME", "estimator; auto chooses one, an unknown name lists all", parse=_method
+        "auto",
+        "NAME",
+        "estimator; auto chooses one, an unknown name lists all",
+        parse=_method,
+        names=lambda: list(methods),
     )
     chain: SignalChain | None = None
     sweep_cutoff: bool = False

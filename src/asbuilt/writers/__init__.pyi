@@ -19,3 +19,4 @@ from .reports.report import report_html as report_html
 from .reports.report import write_report as write_report
 from .reports.study_files import write_result as write_result
 from .reports.study_files import write_study as write_study
+from .schemas import json_schema as json_schema

@@ -62,10 +62,10 @@ def test_windows_are_half_open_and_count_from_the_start() -> None:
     [
         ("rate = -5", "field 'rate' is -5"),
         ('rate = "fast"', "field 'rate' is 'fast'"),
-        ("speed = 3", "field 'speed' is not known here; known are rate, header"),
+        ("speed = 3", "not known here; did you mean 'goal_speed'? known are rate, header"),
         (
             '[columns]\ntorques = "1-7"',
-            "field 'columns.torques' is not known here; known are time, position",
+            "'columns.torques' is not known here; did you mean 'torque'? known are time, position",
         ),
         ('[units]\nposition = "furlong"', "units.position: 'furlong' is not known; write s, ms"),
         ("sign = 2", "each sign is 1 or -1"),

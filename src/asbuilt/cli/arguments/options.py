@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from glob import escape, glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -72,10 +73,23 @@ def writable_file(file: Path | None) -> Path | None:
     return file
 
 
+def complete_robot(incomplete: str) -> list[str]:
+    """Return the bundled robots that a shell may complete a text to, else files.
+
+    >>> complete_robot("ur")
+    ['ur10e']
+    """
+    from asbuilt.description.catalogue import robot_names
+
+    named = [name for name in robot_names() if name.startswith(incomplete)]
+    return named or sorted(glob(f"{escape(incomplete)}*"))
+
+
 Robot = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
+        autocompletion=complete_robot,
         help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file",
     ),
 ]
@@ -83,6 +97,7 @@ RobotOrResult = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT|RESULT",
+        autocompletion=complete_robot,
         help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote",
     ),
 ]

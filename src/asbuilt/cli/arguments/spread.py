@@ -79,8 +79,9 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
     """Return the command as typer takes it: option classes become the options of their fields.
 
     A parameter of an option class becomes one option for each field that has `help` in its
-    metadata; `metavar`, `choices` (names, or names and what they stand for), `parse` (from text)
-    and `also` (other spellings) may stand beside it. The command gets the class built from the
+    metadata; `metavar`, `choices` (names, or names and what they stand for), `names` (a function
+    that returns names to complete), `parse` (from text) and `also` (other spellings) may stand
+    beside it. The command gets the class built from the
     options given, so that the class alone owns its defaults. `run(common, call)` calls the command.
     """
     hints = get_type_hints(command, include_extras=True)
@@ -162,11 +163,22 @@ def _generated(field: Field[Any], hint: Any, panel: str | None) -> inspect.Param
         help=text,
         show_default=False,
         rich_help_panel=panel,
+        autocompletion=None if flag else _completion(metadata),
     )
     kind: Any = plain if plain in (int, float, Path) and "parse" not in metadata else str
     return _keyword(
         field.name, Annotated[bool if flag else kind | None, option], False if flag else None
     )
+
+
+def _completion(metadata: Mapping[str, Any]) -> Callable[[str], list[str]]:
+    """Return what a shell may complete a value to: its choices, or what `names` returns."""
+
+    def complete(incomplete: str) -> list[str]:
+        known = metadata["names"]() if "names" in metadata else metadata.get("choices", ())
+        return [str(name) for name in known if str(name).startswith(incomplete)]
+
+    return complete
 
 
 def _collected(group: type[Any], given: dict[str, Any]) -> Any:

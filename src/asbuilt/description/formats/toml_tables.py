@@ -22,6 +22,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind
 from asbuilt.description.rotation import rotation_fault
 from asbuilt.errors import DescriptionError
+from asbuilt.registry import did_you_mean, known_fields
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -42,8 +43,15 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
+def _with_d(schema: dict[str, Any]) -> None:
+    """Add the other name of `b` to the schema of a Denavit-Hartenberg row."""
+    schema["properties"]["d"] = schema["properties"]["b"]
+
+
 class DHTable(_Table):
     """Lengths [m] and angles of a Denavit-Hartenberg row; `d` is another name of `b`."""
+
+    model_config = ConfigDict(json_schema_extra=_with_d)
 
     a: Finite = 0.0
     alpha: Finite = 0.0
@@ -352,7 +360,9 @@ def _explained(source: str, content: dict[str, Any], error: ValidationError) -> 
         if problem["type"] == "missing":
             message = "is missing"
         elif problem["type"] == "extra_forbidden":
-            message = "is not a field of this table; check the spelling"
+            known = known_fields(RobotFile.model_json_schema(), problem["loc"][:-1])
+            near = did_you_mean(str(problem["loc"][-1]), known)
+            message = f"is not a field of this table; {near}known are {', '.join(known)}"
         elif not isinstance(given, (dict, list)):
             message = f"{message}, got {given!r}"
         complaints.append(f"{'.'.join(place) or 'the file'}: {message}")

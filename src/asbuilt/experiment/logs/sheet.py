@@ -11,13 +11,22 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
 
 from asbuilt.dynamics.drives.position_servo import PER_JOINT
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.roles import unit_scale
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.ranges import Range
+from asbuilt.registry import did_you_mean, known_fields
 from asbuilt.untrusted import parsed_toml, read_text, reason
 
 ColumnName = int | str
@@ -57,7 +66,18 @@ ServoNumber = Annotated[float, Field(ge=0, allow_inf_nan=False)] | Literal["auto
 ServoNumbers = ServoNumber | list[ServoNumber] | None
 GoalNumber = ServoNumber | Literal["none"]
 GoalNumbers = GoalNumber | list[GoalNumber] | None
-ColumnList = Annotated[list[ColumnName], BeforeValidator(_spread)]
+_COLUMN = {"anyOf": [{"type": "integer"}, {"type": "string"}]}
+ColumnList = Annotated[
+    list[ColumnName],
+    BeforeValidator(_spread),
+    WithJsonSchema({"anyOf": [*_COLUMN["anyOf"], {"type": "array", "items": _COLUMN}]}),
+]
+_LOCK = {
+    "anyOf": [
+        {"type": "array", "items": {"type": "string"}},
+        {"type": "object", "additionalProperties": {"type": "number"}},
+    ]
+}
 
 
 RATES = Range(1e-3, 1e6, "Hz")
@@ -245,9 +265,9 @@ class RecordingSheet(_Part):
     )
     windows: list[SheetWindow] = Field(default_factory=list)
     files: SheetFiles = SheetFiles()
-    lock: Annotated[dict[str, FiniteNumber | None], BeforeValidator(_without_values)] = Field(
-        default_factory=dict
-    )
+    lock: Annotated[
+        dict[str, FiniteNumber | None], BeforeValidator(_without_values), WithJsonSchema(_LOCK)
+    ] = Field(default_factory=dict)
     topic: str | None = None
     command_topic: str | None = None
     command_joints: list[str] | None = None
@@ -336,20 +356,10 @@ def _explain(path: Path, error: ValidationError) -> str:
         )
     for place, fields in unknown.items():
         are = "fields {} are" if len(fields) > 1 else "field {} is"
+        known = known_fields(RecordingSheet.model_json_schema(), place)
+        near = did_you_mean(fields[0].rpartition(".")[2], known)
         problems.append(
-            f"{are.format(', '.join(map(repr, fields)))} not known here; known are"
-            f" {', '.join(_fields_at(place))}"
+            f"{are.format(', '.join(map(repr, fields)))} not known here; {near}known are"
+            f" {', '.join(known)}"
         )
     return f"recording sheet {path}: {'; '.join(dict.fromkeys(problems))}"
-
-
-def _fields_at(location: tuple[int | str, ...]) -> list[str]:
-    models: dict[str, type[BaseModel]] = {
-        "columns": SheetColumns,
-        "units": SheetUnits,
-        "windows": SheetWindow,
-        "files": SheetFiles,
-        "joint_units": SheetRange,
-    }
-    model = models.get(str(location[0]), RecordingSheet) if location else RecordingSheet
-    return list(model.model_fields)

@@ -1,0 +1,55 @@
+"""JSON Schemas of the files that people write, for editors that check and complete them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from asbuilt.codec import json_text
+from asbuilt.description.formats.toml_tables import RobotFile
+from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.registry import did_you_mean
+from asbuilt.writers.files import atomic_write
+
+SCHEMAS: dict[str, type[BaseModel]] = {"robot": RobotFile, "sheet": RecordingSheet}
+"""What has a schema: the robot file and the recording sheet."""
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a kind of file, `"robot"` or `"sheet"`.
+
+    Raises
+    ------
+    UsageError
+        If there is no such kind.
+    """
+    if kind not in SCHEMAS:
+        raise UsageError(
+            f"there is no schema {kind!r}; {did_you_mean(kind, SCHEMAS)}there are"
+            f" {', '.join(SCHEMAS)}",
+            value=kind,
+            available=[*SCHEMAS],
+        )
+    schema: dict[str, Any] = _finite(SCHEMAS[kind].model_json_schema())
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def write_schema(kind: str, path: Path) -> Path:
+    """Write the JSON Schema of a kind of file."""
+    return atomic_write(path, json_text(json_schema(kind)))
+
+
+def _finite(part: Any) -> Any:
+    """Return a part of a schema without infinite defaults, which JSON cannot say."""
+    if isinstance(part, dict):
+        endless = {
+            name
+            for name, value in part.items()
+            if isinstance(value, float) and not math.isfinite(value)
+        }
+        return {name: _finite(value) for name, value in part.items() if name not in endless}
+    return [_finite(each) for each in part] if isinstance(part, list) else part
