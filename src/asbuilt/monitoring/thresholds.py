@@ -41,6 +41,8 @@ MANY = 500
 """Blocks from which the ten largest are the largest 2 %: joints then have one tail together."""
 PARTS = 5
 """Parts of the time of which each is measured in units that follow from the others."""
+WITHIN = 1.0
+"""Level of a joint whose residuals all lie within the bounds of known errors, in scales."""
 LEAST = (0.001, 0.1, 0.3, 1.0)
 """Least floors of the scale, per RMS residual; one is chosen."""
 MOST_ROWS = 20000
@@ -300,10 +302,12 @@ def set_thresholds(
     maxima = np.concatenate(
         [block_maxima(log.t, ratio, seconds) for log, ratio in zip(logs, ratios, strict=True)]
     )
-    if not held_out:
+    if held_out:
+        level = levels(maxima, false_alarms_per_hour * seconds / 3600.0)
+    else:
         level = np.array([gumbel_level(column, probability) for column in maxima.T])
-        return replace(made, level=level)
-    return replace(made, level=levels(maxima, false_alarms_per_hour * seconds / 3600.0))
+    # Where no residual leaves the bounds of known errors there is no tail to extrapolate.
+    return replace(made, level=np.where(level > 0.0, level, WITHIN))
 
 
 def _spread(logs: Sequence[Observed], scales: Sequence[Array], kept: Sequence[Mask]) -> Array:
@@ -421,7 +425,7 @@ def _parts(
             found = _variances(whole, (residual[few] / size) ** 2, floor)
             scale = np.sqrt(columns @ found[:4])
             level = exponential_level(np.maximum.reduceat(excess / scale, starts), probability)
-            cost = float(np.log(level) + np.mean(np.log(scale)))
+            cost = float(np.log(max(level, np.finfo(float).tiny)) + np.mean(np.log(scale)))
             if best is None or cost < best[0]:
                 a, b, c, d = np.sqrt(found[:4]).tolist()
                 best = cost, (size * a, size * b, size * c / top, d, slow_speed)
