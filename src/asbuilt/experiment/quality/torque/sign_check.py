@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.command.magnitude import (
@@ -35,8 +35,8 @@ def unsigned_findings(
     whose commands, if there are any, say what was logged. A joint that the model's gravity always
     loads in the positive direction says nothing.
     """
-    doubtful = ~_held_up(model, beginning)
-    if not is_unsigned(measured.low, np.where(doubtful, measured.high, 0.0)):
+    high = np.where(_held_up(model, beginning), 0.0, measured.high)
+    if not is_unsigned(measured.low, high):
         return
     if not _reverses(beginning):
         return
@@ -83,7 +83,7 @@ def is_unsigned(low: Array, high: Array) -> bool:
     return bool(np.count_nonzero(used) >= FEWEST_JOINTS and np.all(np.asarray(low) >= 0.0))
 
 
-def _held_up(model: RobotModel, recording: Recording) -> Array:
+def _held_up(model: RobotModel, recording: Recording) -> Mask:
     """Return which joints (n,) bear a weight of one sign, positive, at all positions met."""
     q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
     q = q[:: max(1, len(q) // MOST_POSES)]
