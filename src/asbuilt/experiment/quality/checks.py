@@ -249,7 +249,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         of_commands = list(command_findings(model, beginning))
         of_torques = [
             *_findings_in_time(model, chunks, known),
-            *unsigned_findings(known.torque_range, beginning),
+            *unsigned_findings(model, known.torque_range, beginning),
         ]
         findings += of_commands
         findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
