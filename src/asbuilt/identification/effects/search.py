@@ -131,14 +131,14 @@ class _Search:
                 break
             if first is None:
                 first, of_tilt = step, _errors(selection, path)
-            tilt = tilt + step.values
+            tilt = tilt + _about_axes(step, selection.equations.candidates)
             if np.max(np.abs(tilt)) > LIMITS.farthest:
                 return Effects(self.model, self.drive)
             turned = self._turned(tilt)
             if np.linalg.norm(step.values) < LIMITS.settled:
                 break
         others = [each for each in path if each.candidate.effect.key != Tilt.key]
-        taken = [*([replace(first, values=tilt)] if first else []), *others]
+        taken = [*([_turned_by(first, tilt)] if first else []), *others]
         errors = of_tilt | _errors(selection, others)
         added = [each.candidate for each in others if each.candidate.effect.in_model]
         drive, fitted, undetermined = self._fitted(turned, added)
@@ -244,6 +244,23 @@ def _errors(
     taken = [each.candidate for each in path]
     steps = [selection.held_out_error(taken[:k]) for k in range(len(taken) + 1)]
     return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(taken)}
+
+
+def _turned_by(first: Trial, tilt: Array) -> Trial:
+    """Return the tilt that was taken first with its final angles about both axes."""
+    covariance = np.zeros((len(tilt),) * 2)
+    felt = np.flatnonzero(tilt)
+    if len(felt) == len(first.values):
+        covariance[np.ix_(felt, felt)] = first.covariance
+    return replace(first, values=tilt, covariance=covariance)
+
+
+def _about_axes(step: Trial, candidates: Sequence[Candidate]) -> Array:
+    """Return the angles of a tilt about both axes, 0 where the robot does not feel it."""
+    places = next(each.places for each in candidates if each.at == step.candidate.at)
+    angles = np.zeros(len(places))
+    angles[np.isin(places, step.candidate.places)] = step.values
+    return angles
 
 
 def _matters(before: float, after: float) -> bool:
