@@ -1,4 +1,4 @@
-"""Relative torque error on another motion: without effects, with all that are found, with the best one.
+"""Relative torque error on another motion: without effects, with all found, with the best one.
 
     python benchmarks/other_effects.py [ROBOT ...]
 
@@ -32,7 +32,7 @@ from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.delays import settle_delays
 from asbuilt.workflow.prepare import digest
 from asbuilt.writers.tables.mass_table import exported_masses
-from drive_terms import SHARED
+from drive_terms import SHARED, UR10E_SHEET
 from other_motions import ROBOTS, Robot
 
 KR300 = """torque_source = "motor"
@@ -103,9 +103,7 @@ def _sheet(options: dict[str, Any], folder: Path) -> Path | None:
     scratch.parent.mkdir(exist_ok=True)
     if "sheet" in options:
         return folder / options.pop("sheet")
-    text = options.pop("text", "")
-    if "gain" in options:
-        from drive_terms import UR10E_SHEET as text  # noqa: PLC0415
+    text = UR10E_SHEET if "gain" in options else options.pop("text", "")
     if not text:
         return None
     scratch.write_text(text)
