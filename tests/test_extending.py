@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +36,7 @@ GROUPS = {
     "report_sections": "outside_section",
     "description_formats": "chain_format",
     "simulator_formats": "gains_format",
+    "figures": "error_figure",
 }
 
 
@@ -69,6 +73,19 @@ def test_term_and_description_format(site: Path, tmp_path: Path) -> None:
     drives, shown = call_elsewhere(tmp_path, site, "drives --json", "show arm.chain --json")
     assert "saturated" in {each["key"] for each in json.loads(drives)["drives"]}
     assert json.loads(shown)["robot"] == "heavy"
+
+
+def test_figure(site: Path) -> None:
+    """The function is found by its entry point, beside those of asbuilt."""
+    asked = "from asbuilt.identification.result.result import FIGURES; print(*FIGURES)"
+    done = subprocess.run(
+        [sys.executable, "-c", asked],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert {"errors", "torque", "residuals", "parameters"} <= set(done.stdout.split())
 
 
 @pytest.mark.study

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
@@ -34,10 +34,6 @@ class Candidate:
     places: Indices
     term: DriveTerm | None = None
     replaces: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-
-    def acting(self, act: Mask) -> Candidate:
-        """Return the candidate with those of its parameters that act on the robot."""
-        return replace(self, places=self.places[act[self.places]])
 
     @property
     def at(self) -> tuple[str, int | None]:

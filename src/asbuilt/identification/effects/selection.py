@@ -104,7 +104,7 @@ class Trial:
         """
         if self.p_value * n_candidates > RULES.level or self.gain < RULES.sure:
             return False
-        if self.felt < RULES.felt:
+        if self.felt < RULES.felt or np.linalg.norm(self.values) < self.candidate.effect.least:
             return False
         if self.candidate.effect.positive and not np.all(self.values > 0.0):
             return False
@@ -170,6 +170,16 @@ class Selection:
             path.append(best)
             self.taken.append(best.candidate)
             before = trials
+
+    def place_of(self, key: str) -> int:
+        """Return the number of the candidate of an effect of the whole robot."""
+        return next(j for j, each in enumerate(self.equations.candidates) if each.at == (key, None))
+
+    def acting(self, candidate: Candidate) -> Candidate:
+        """Return a candidate with those of its parameters that act on this robot."""
+        length = np.diag(self._total)
+        acts = length > RULES.acting * length.max(initial=0.0)
+        return replace(candidate, places=candidate.places[acts[candidate.places]])
 
     def held_out_error(self, taken: Sequence[Candidate]) -> float:
         """Return the relative torque error on the held-out groups with these effects."""
@@ -270,7 +280,7 @@ class Selection:
         floor = floor + np.finfo(np.float64).tiny
         found = []
         for candidate in candidates:
-            each = candidate.acting(length > RULES.acting * length.max(initial=0.0))
+            each = self.acting(candidate)
             c = np.searchsorted(columns, each.places)
             own, size = whole.schur[np.ix_(c, c)], np.sqrt(length[each.places])
             if not c.size or np.linalg.eigvalsh(own / np.outer(size, size))[0] < RULES.separate:
