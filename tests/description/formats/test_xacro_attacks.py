@@ -144,7 +144,7 @@ def test_files_beyond_the_folder_are_neither_read_nor_printed(
     text = (
         f'<xacro:include filename="{place}"/>'
         if what == "include"
-        else f'<a v="${{xacro.load_yaml(\'{place}\')}}"/>'
+        else f"<a v=\"${{xacro.load_yaml('{place}')}}\"/>"
     )
     with pytest.raises(DescriptionError) as caught:
         load_robot(spoilt(folder, text))
@@ -155,7 +155,7 @@ def test_what_the_evaluator_would_overlook_meets_the_audit_hook(tmp_path: Path) 
     """Here it is replaced by one that evaluates any Python."""
     pytest.importorskip("xacro")
     target = tmp_path / "touched"
-    path = spoilt(tmp_path / "in", f'<a v="${{open({str(target)!r}, \'w\')}}"/>')
+    path = spoilt(tmp_path / "in", f"<a v=\"${{open({str(target)!r}, 'w')}}\"/>")
     program = (
         "import asbuilt.description.formats.expansion.expander as e;"
         " e.evaluate = lambda text, names, functions: {0};"
