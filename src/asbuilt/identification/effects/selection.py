@@ -166,7 +166,7 @@ class Selection:
                 path[-1] = _with_alternatives(path[-1], before, trials)
             if not trials or len(path) == RULES.most:
                 return path
-            best = max(trials, key=lambda each: each.worth)
+            best = _preferred(max(trials, key=lambda each: each.worth), trials)
             path.append(best)
             self.taken.append(best.candidate)
             before = trials
