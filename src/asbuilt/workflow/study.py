@@ -17,6 +17,7 @@ from asbuilt.executor import Workers
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.result.determination import Determination, determination
@@ -194,12 +195,14 @@ def identify(
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
     model = wanted.with_known_masses(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
-    trained, others, servo, options = settle_servo(model, trained, others, options)
+    filters = MotionFilters()
+    trained, others, servo, options = settle_servo(model, trained, others, options, filters)
     if options.rollout and options.holdout is None and not others:
         raise _all_fitted()
-    prepared, cutoffs = _prepared(model, trained, others, options, servo, report)
+    prepared, cutoffs = _prepared(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    parts = trained_parts(trained, prepared.chain, prepared.holdout) if options.refine else ()
+    division = prepared.chain, prepared.holdout, filters
+    parts = trained_parts(trained, *division) if options.refine else ()
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)
@@ -220,7 +223,7 @@ def identify(
     if not options.rollout and not options.refine:
         return study
     report("roll out", 0.0)
-    held = held_out_parts(trained, others, prepared.chain, prepared.holdout)
+    held = held_out_parts(trained, others, *division)
     return _rolled_out(study, held, parts, options, workers)
 
 
@@ -230,6 +233,7 @@ def _prepared(
     others: Sequence[Recorded],
     options: StudyOptions,
     servo: ServoEstimate | None,
+    filters: MotionFilters,
     report: Progress,
 ) -> tuple[Prepared, CutoffSweep | None]:
     """Prepare recordings, and sweep cutoffs if that is asked for."""
@@ -249,6 +253,7 @@ def _prepared(
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
         estimate_delay=servo is None,
+        filters=filters,
         progress=report,
     )
     prepared = explained(prepared, trained, servo)
