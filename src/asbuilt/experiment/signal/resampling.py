@@ -256,16 +256,14 @@ def uniform_grid(
 def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
     """Drop exact repeats; those several times longer than usual are a robot at rest and stay.
 
-    A second torque channel that changes makes a sample new.
+    A second torque channel that changes makes a sample new. Under a command nothing is dropped: its
+    torque is computed, and must not decide which samples there are.
     """
-    if not index.size:
+    commanded = recording.torque_source == "command" and recording.command is not None
+    if not index.size or commanded:
         return index
     part = _slice_of(index)
-    # the torque of a command is no channel of the log: the command is
-    torque = recording.tau
-    if recording.torque_source == "command" and recording.command is not None:
-        torque = recording.command
-    rows = [recording.q[part], torque[part]] + (
+    rows = [recording.q[part], recording.tau[part]] + (
         [recording.qd[part]] if recording.qd is not None else []
     )
     rows += [each[part] for key, each in recording.extra.items() if key.startswith("tau")]
