@@ -37,12 +37,12 @@ from asbuilt.workflow.fitting.hold_out_plan import hold_out_findings, with_settl
 from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare, settled_rule
 from asbuilt.workflow.servo import explained, servo_delays, settle_servo
-from asbuilt.workflow.simulation.refinement import Refined, judged
+from asbuilt.workflow.simulation.refinement import Refined
 from asbuilt.workflow.simulation.rollout import (
     Simulated,
-    held_out_parts,
+    SimulatedParts,
+    simulated_parts,
     simulated_rollouts,
-    trained_parts,
 )
 
 
@@ -201,8 +201,9 @@ def identify(
         raise _all_fitted()
     prepared, cutoffs = _prepared(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    division = prepared.chain, prepared.holdout, filters
-    parts = trained_parts(trained, *division) if options.refine else ()
+    parts = SimulatedParts()
+    if options.refine or options.rollout:
+        parts = simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)
@@ -220,11 +221,10 @@ def identify(
         effects=concluded.effects,
         refined=fits.refined,
     )
-    if not options.rollout and not options.refine:
+    if not options.rollout:
         return study
     report("roll out", 0.0)
-    held = held_out_parts(trained, others, *division)
-    return _rolled_out(study, held, parts, options, workers)
+    return _rolled_out(study, parts.held_out, options, workers)
 
 
 def _prepared(
@@ -272,16 +272,13 @@ def _all_fitted() -> UsageError:
 def _rolled_out(
     study: Study,
     held: Sequence[Simulated],
-    parts: Sequence[Simulated],
     options: StudyOptions,
     workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
-    if options.rollout and not held:
+    if not held:
         raise _all_fitted()
     result = study.result.of_training
-    if study.refined is not None:
-        study = replace(study, refined=judged(result, study.refined, held or parts))
     rollouts = simulated_rollouts([result] * len(held), held, options.rollout, workers=workers)
     findings = ranked((*study.findings, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)

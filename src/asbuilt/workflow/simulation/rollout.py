@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from asbuilt.description.load import load_robot
@@ -145,29 +145,30 @@ def simulated_rollouts(
     )
 
 
-def held_out_parts(
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedParts:
+    """Hold what a study may be fitted to by simulations, and what may validate them."""
+
+    trained: tuple[Simulated, ...] = ()
+    held_out: tuple[Simulated, ...] = ()
+
+
+def simulated_parts(
     recordings: Sequence[Recorded],
     validation: Sequence[Recorded],
     chain: SignalChain | None,
     holdout: str | None,
     filters: MotionFilters,
-) -> tuple[Simulated, ...]:
-    """Return what a study may simulate: what was held out, and the other recordings."""
+) -> SimulatedParts:
+    """Return what a study may simulate: all but what is held out, and that and other recordings."""
     held = () if holdout is None else recordings
-    return (
-        *(_part(item, chain, holdout, filters) for item in held),
-        *(_part(item, chain, None, filters) for item in validation),
+    return SimulatedParts(
+        tuple(_part(item, chain, holdout, filters, train=True) for item in recordings),
+        (
+            *(_part(item, chain, holdout, filters) for item in held),
+            *(_part(item, chain, None, filters) for item in validation),
+        ),
     )
-
-
-def trained_parts(
-    recordings: Sequence[Recorded],
-    chain: SignalChain | None,
-    holdout: str | None,
-    filters: MotionFilters,
-) -> tuple[Simulated, ...]:
-    """Return what a study may be fitted to by simulations: all that is not held out."""
-    return tuple(_part(item, chain, holdout, filters, train=True) for item in recordings)
 
 
 def _servo(recording: Recording) -> PositionServo | None:
