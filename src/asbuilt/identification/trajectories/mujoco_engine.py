@@ -147,19 +147,26 @@ class _Engine:
         shape = (windows.n_windows, steps, len(self.order))
         positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)
+        # looked up once: a look-up in MuJoCo's memory takes as long as half a step
+        arrays = [(x.ctrl, x.qfrc_applied, x.qpos, x.qvel, x.qacc) for x in runs]
+        friction, step_once, order = (
+            self.compiled.dof_frictionloss,
+            self.mujoco.mj_step,
+            self.order,
+        )
         for step in range(steps):
             added, dry = self._further(q, qd, qdd)
-            for w, run in enumerate(runs):
-                if not np.all(np.abs(qd[w]) < DIVERGED):
-                    continue
-                self.compiled.dof_frictionloss[self.order] = dry[w]
-                run.ctrl[:] = forces[w, step, :n_controls]
+            applied = forces[:, step, n_controls:].copy()
+            applied[:, order] -= added
+            for w in np.flatnonzero(np.all(np.abs(qd) < DIVERGED, axis=1)).tolist():
+                control, force, *state = arrays[w]
+                friction[order] = dry[w]
+                control[:] = forces[w, step, :n_controls]
                 if not self.proportional:
-                    run.ctrl[:] = self._servo_beyond(run.ctrl, q[w], qd[w])
-                run.qfrc_applied[:] = forces[w, step, n_controls:]
-                run.qfrc_applied[self.order] -= added[w]
-                self.mujoco.mj_step(self.compiled, run)
-                q[w], qd[w], qdd[w] = (x[self.order] for x in (run.qpos, run.qvel, run.qacc))
+                    control[:] = self._servo_beyond(control, q[w], qd[w])
+                force[:] = applied[w]
+                step_once(self.compiled, runs[w])
+                q[w], qd[w], qdd[w] = (x[order] for x in state)
                 positions[w, step], velocities[w, step] = q[w], qd[w]
         return positions, velocities
 

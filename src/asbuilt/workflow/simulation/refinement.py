@@ -18,7 +18,11 @@ from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.servo.servo_estimate import ServoEstimate, precedes_command
 from asbuilt.identification.trajectories.friction_search import promised_fall, widened
-from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
+from asbuilt.identification.trajectories.refined_fit import (
+    RefinedFit,
+    refine_fit,
+    thinned_windows,
+)
 from asbuilt.identification.trajectories.servo_coordinates import (
     STIFFNESS_SPREAD,
     ServoCoordinates,
@@ -53,7 +57,7 @@ class Refined:
         Steps of the search, and the time they took.
     before, after
         Errors of rollouts of this length on data not fitted, or on the training data if nothing
-        was held out; None if there is no window of this length.
+        was held out, of windows of a minute in all; None if there is none of this length.
     kept
         Whether the result is the robot after, which its rollouts predict no worse.
     undetermined
@@ -229,7 +233,7 @@ def _stiffness_spread(servo: ServoEstimate | None) -> float:
 def _validated(refined: Refined, robot: SimulatedRobot, parts: Sequence[Simulated]) -> Refined:
     """Return the refinement with the errors of rollouts before and after it."""
     try:
-        windows = _windows(parts, refined.horizon)
+        windows = thinned_windows(_windows(parts, refined.horizon))
     except RecordingError:
         return refined
     found = roll_out(
