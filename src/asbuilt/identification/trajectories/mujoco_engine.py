@@ -158,16 +158,19 @@ class _Engine:
             added, dry = self._further(q, qd, qdd)
             applied = forces[:, step, n_controls:].copy()
             applied[:, order] -= added
-            for w in np.flatnonzero(np.all(np.abs(qd) < DIVERGED, axis=1)).tolist():
-                control, force, *state = arrays[w]
+            moving = np.flatnonzero(np.all(np.abs(qd) < DIVERGED, axis=1))
+            for w in moving.tolist():
+                control, force, position, velocity, acceleration = arrays[w]
                 friction[order] = dry[w]
                 control[:] = forces[w, step, :n_controls]
                 if not self.proportional:
                     control[:] = self._servo_beyond(control, q[w], qd[w])
                 force[:] = applied[w]
                 step_once(self.compiled, runs[w])
-                q[w], qd[w], qdd[w] = (x[order] for x in state)
-                positions[w, step], velocities[w, step] = q[w], qd[w]
+                q[w], qd[w] = position[order], velocity[order]
+                if self.others.needs_load:
+                    qdd[w] = acceleration[order]
+            positions[moving, step], velocities[moving, step] = q[moving], qd[moving]
         return positions, velocities
 
     def _servo_beyond(self, goal: Array, q: Array, qd: Array) -> Array:
