@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import MotionFilters
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding

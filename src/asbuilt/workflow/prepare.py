@@ -14,7 +14,8 @@ from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out, usual_rule
-from asbuilt.experiment.signal.preparation import MotionFilters, resolve_chain
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.recording_delay import RecordingDelay

@@ -17,7 +17,8 @@ from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.signal.preparation import MotionFilters, resolve_chain
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined

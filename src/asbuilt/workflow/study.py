@@ -17,7 +17,7 @@ from asbuilt.executor import Workers
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import MotionFilters
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.result.determination import Determination, determination

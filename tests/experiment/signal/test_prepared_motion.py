@@ -11,7 +11,8 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.filter_plan import FilterPlan
-from asbuilt.experiment.signal.preparation import MotionFilters, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.workflow.options import StudyOptions

@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, logged_magnitude_laws
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import MotionFilters
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.errors.expected_scores import ExpectedScores

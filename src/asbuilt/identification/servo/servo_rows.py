@@ -25,7 +25,7 @@ from asbuilt.experiment.command.servo_torque import (
 from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import MotionFilters, PreparedMotion
+from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
