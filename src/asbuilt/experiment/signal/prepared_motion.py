@@ -17,11 +17,11 @@ from asbuilt.experiment.signal.filter_plan import FilteredMotion, FilterPlan, Se
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
 from asbuilt.experiment.signal.noise.band_choice import choose_band
 from asbuilt.experiment.signal.noise.spikes import without_spikes
+from asbuilt.experiment.signal.noise.velocity_choice import VelocityVerdict, compare_velocities
 from asbuilt.experiment.signal.resampling import Grid, UniformSegment, shifted, uniform_grid
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
 from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
-from asbuilt.experiment.signal.velocity_choice import VelocityVerdict, compare_velocities
 from asbuilt.findings import Cure
 
 UNRESOLVED = 0.25
