@@ -102,16 +102,15 @@ class _Engine:
         option.disableflags |= int(bits.mjDSBL_AUTORESET)
 
     def _take_away_what_steps_add(self) -> None:
-        """Lower armatures by half a step of damping, at most by half the inertia at a joint.
+        """Lower armatures by half a step of damping, as far as there are any.
 
-        Beyond, at a joint of little inertia, the mass matrix might not stay positive.
+        With one below zero the mass matrix, which MuJoCo factors too, might not be positive.
         """
         model, kd = self.compiled, np.zeros(self.compiled.nv)
         kd[self.order] = self.robot.stiffness[1]
-        most, half = 0.5 * model.dof_M0, 0.5 * self.robot.step
-        model.dof_armature -= np.minimum(half * (model.dof_damping + kd), most)
-        if model.ntendon:
-            model.tendon_armature -= half * model.tendon_damping
+        half = 0.5 * self.robot.step
+        model.dof_armature -= np.clip(half * (model.dof_damping + kd), 0.0, model.dof_armature)
+        model.tendon_armature -= np.clip(half * model.tendon_damping, 0.0, model.tendon_armature)
 
     def in_threads(self, windows: Windows, steps: int) -> tuple[Array, Array]:
         """Return positions and velocities after every step, two (W, steps, n)."""
