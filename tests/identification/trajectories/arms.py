@@ -98,7 +98,7 @@ def recorded_by_mujoco(
     robot = mujoco.MjModel.from_xml_string(text)
     robot.opt.timestep = step
     robot.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    robot.dof_solref[:], robot.dof_solimp[:, :2] = [2.0 * step, 1.0], 0.9999
+    robot.dof_solref[:], robot.dof_solimp[:, :2] = [0.002, 1.0], 0.9999
     robot.jnt_actfrclimited[:] = 0
     data, every = mujoco.MjData(robot), round(1.0 / (rate * step))
     t = np.arange(0.0, duration, 1.0 / rate)
