@@ -312,21 +312,30 @@ class Selection:
         return found
 
 
-def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
-    """Return a trial with the look-alikes among those that were taken `before` and not `after`.
+def _preferred(best: Trial, trials: Sequence[Trial]) -> Trial:
+    """Return a look-alike that the model can have, where it cannot have the best."""
+    alike = [t for t in trials if t.candidate.effect.in_model and _look_alike(best, t)]
+    if best.candidate.effect.in_model or not alike:
+        return best
+    return max(alike, key=lambda each: each.worth)
 
-    They predict other motion within one standard error of the paired differences.
+
+def _look_alike(taken: Trial, other: Trial) -> bool:
+    """Return whether another effect predicts other motion as well, for half the fall of the cost.
+
+    As well: within one standard error of the paired differences.
     """
-    still = {each.candidate.at for each in after}
+    lag = taken.relief - other.relief
+    error = float(lag.std(ddof=1)) / np.sqrt(len(lag))
+    return other.worth > RULES.alike * taken.worth and bool(lag.mean() <= error)
+
+
+def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
+    """Return a trial with the look-alikes among those that were taken `before` and not `after`."""
+    still = {taken.candidate.at, *(each.candidate.at for each in after)}
     found: dict[tuple[str, int | None], Candidate] = {}
     for each in before:
-        lag = taken.relief - each.relief
-        error = float(lag.std(ddof=1)) / np.sqrt(len(lag))
-        if (
-            each.candidate.at not in (taken.candidate.at, *still)
-            and each.worth > RULES.alike * taken.worth
-            and lag.mean() <= error
-        ):
+        if each.candidate.at not in still and _look_alike(taken, each):
             found.setdefault(each.candidate.at, each.candidate)
     return replace(taken, alternatives=tuple(found.values()))
 
