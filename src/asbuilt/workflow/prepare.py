@@ -153,9 +153,10 @@ def prepare(
         late = settle_delays(model, _chosen_by(recordings), digests, settled, rule, filters)
         settled = late.chain
     whole = tuple(_samples(item, settled, filters, late) for item in recordings)
-    if automatic and not _enough_left(whole, holdout):
-        holdout = None
-    training, held_out = _parts(whole, holdout)
+    parts = _parts_with_enough(whole, holdout) if automatic else _parts(whole, holdout)
+    if parts is None:
+        holdout, parts = None, (whole, ())
+    training, held_out = parts
     return Prepared(
         chain=settled if chosen else None,
         holdout=holdout,
@@ -224,15 +225,18 @@ def _parts(
     )
 
 
-def _enough_left(whole: Sequence[Samples], holdout: str | None) -> bool:
-    """Return whether the filters leave enough of both parts of every recording."""
+def _parts_with_enough(
+    whole: Sequence[Samples], holdout: str | None
+) -> tuple[tuple[Samples, ...], tuple[Samples, ...]] | None:
+    """Return the divided samples; None if the filters do not leave enough of every part."""
     if holdout is None:
-        return False
+        return None
     try:
         parts = _parts(whole, holdout)
     except RecordingError:
-        return False
-    return min(part.n_filtered for side in parts for part in side) >= FEWEST
+        return None
+    enough = min(part.n_filtered for side in parts for part in side) >= FEWEST
+    return parts if enough else None
 
 
 def _samples(

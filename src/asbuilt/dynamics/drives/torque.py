@@ -15,6 +15,9 @@ from asbuilt.dynamics.drives.term import DriveTerm, NonlinearValue
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import DescriptionError, UsageError
 
+AT_ONCE = 10_000
+"""Samples whose columns are held at once."""
+
 
 def drive_columns(
     drive: DriveSet,
@@ -94,10 +97,14 @@ def _alike(
     for term in drive.terms:
         s = len(term.symbols)
         joints = [k for k in range(q.shape[1]) if term.is_at(k)]
-        own, column = values[:, column : column + s], column + s
-        columns = np.empty((s, *q.shape))
-        term.evaluate(q, qd, qdd, load, columns)
-        torque[:, joints] += np.einsum("smk,ks->mk", columns[:, :, joints], own[joints])
+        own, column = values[joints, column : column + s], column + s
+        # some samples at a time, so that a long recording takes no memory for its columns
+        for first in range(0, len(q), AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            state = (q[part], qd[part], qdd[part], None if load is None else load[part])
+            columns = np.empty((s, *state[0].shape))
+            term.evaluate(*state, columns)
+            torque[part, joints] += np.einsum("smk,ks->mk", columns[:, :, joints], own)
     return torque
 
 

@@ -63,6 +63,11 @@ class Kernel(CPUDispatcher):
     only read may be read-only or not. Kernels, unlike their parts, are kept on disk.
     """
 
+    _cache: Any
+    _can_compile: bool
+    targetctx: Any
+    overloads: Any
+
     announce: ClassVar[Callable[[Kernel], None] | None] = None
     """Called once with the first kernel that is not on disk, before it is compiled."""
 
@@ -87,7 +92,7 @@ class Kernel(CPUDispatcher):
         if not self.is_kept:
             return False
         key = self._cache._index_key(self.declared, self.targetctx.codegen())
-        return key in self._cache._cache_file._load_index()
+        return bool(key in self._cache._cache_file._load_index())
 
     def make_ready(self) -> None:
         """Load or compile."""
@@ -135,7 +140,8 @@ def kernel(
 
 def part(function: Callable[..., Any]) -> Any:
     """Compile as part of kernels, from which alone it can be called."""
-    return njit(function, no_cpython_wrapper=True, **OPTIONS)
+    compiling: Any = njit
+    return compiling(function, no_cpython_wrapper=True, **OPTIONS)
 
 
 def compile_kernels(report: Callable[[float], None]) -> None:
@@ -172,7 +178,7 @@ def _no_garbage_collected() -> Iterator[None]:
             gc.enable()
 
 
-def types_of(signature: str) -> tuple[types.Type, ...]:
+def types_of(signature: str) -> tuple[Any, ...]:
     """Return the types of arguments.
 
     >>> types_of("i f2 F1")
@@ -181,13 +187,14 @@ def types_of(signature: str) -> tuple[types.Type, ...]:
     return tuple(map(_type_of, signature.split()))
 
 
-def _type_of(word: str) -> types.Type:
+def _type_of(word: str) -> Any:
     letter, n_axes = word[0], word[1:]
-    number = NUMBERS[letter.lower()]
+    number: Any = NUMBERS[letter.lower()]
     if not n_axes:
         return number
-    layout = "A" if letter == "a" else "C"
-    return types.Array(number, int(n_axes), layout, readonly=letter.islower())
+    return types.Array(
+        number, int(n_axes), "A" if letter == "a" else "C", readonly=letter.islower()
+    )
 
 
 @cache

@@ -71,8 +71,9 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
     places = np.flatnonzero(not_repeated)
     if places.size < FEWEST:
         return []
-    steps = np.diff(tau[places], axis=0)
-    prominence = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1]))
+    steps = np.diff(tau if places.size == len(tau) else tau[places], axis=0)
+    sizes = np.abs(steps)
+    prominence = np.minimum(sizes[1:], sizes[:-1])
     prominence *= steps[1:] * steps[:-1] < 0.0
     some = slice(None, None, max(1, places.size // COUNTED))
     usual = np.quantile(prominence[some], RULES.usual, axis=0)
@@ -81,12 +82,12 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
     found = []
     for k in range(tau.shape[1]):
         rows = np.flatnonzero(prominence[:, k] > least[k])
-        sizes = prominence[rows, k]
-        lone = np.abs(steps[rows + 1, k] + steps[rows, k]) < RULES.alike * sizes
+        above = prominence[rows, k]
+        lone = np.abs(steps[rows + 1, k] + steps[rows, k]) < RULES.alike * above
         beside = np.clip(rows[:, None] + BESIDE, 0, len(steps) - 1)
-        lone &= sizes > RULES.calm * np.max(np.abs(steps[beside, k]), axis=1)
+        lone &= above > RULES.calm * np.max(sizes[beside, k], axis=1)
         if 0 < np.count_nonzero(lone) <= RULES.most * len(prominence):
-            found.append(Spikes(k, places[rows[lone] + 1], sizes[lone]))
+            found.append(Spikes(k, places[rows[lone] + 1], above[lone]))
     return found
 
 
@@ -95,7 +96,7 @@ def without_spikes(recording: Recording) -> Recording:
     if recording.torque_source == "command" or recording.n_samples < FEWEST:
         return recording
     tau = np.array(recording.tau)
-    changed = any_of(np.diff(tau, axis=0) != 0.0) | any_of(np.diff(recording.q, axis=0) != 0.0)
+    changed = any_of(tau[1:] != tau[:-1]) | any_of(recording.q[1:] != recording.q[:-1])
     found = find_spikes(tau, np.concatenate([[True], changed]))
     if not found:
         return recording
