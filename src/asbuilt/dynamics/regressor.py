@@ -60,9 +60,9 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
     Links it carries, its own drive, motors it turns.
     """
     chosen, n = _checked_columns(model, drive, columns), model.n_joints
-    moved_by, carried = model.link_joints, np.zeros((n, model.n_links), dtype=bool)
+    moved_by, carried = model.link_shares != 0.0, np.zeros((n, model.n_links), dtype=bool)
     for i in range(model.n_links):
-        carried[[moved_by[link] for link in model.ancestors(i)], i] = True
+        carried[:, i] = moved_by[list(model.ancestors(i))].any(axis=0)
     links = np.repeat(carried, _PER_LINK, axis=1)
     turning = np.where(
         drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None]

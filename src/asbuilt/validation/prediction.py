@@ -187,9 +187,7 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
             f"{cad.name} has {cad.n_joints} joints, the result of {result.robot} has"
             f" {result.model.n_joints}"
         )
-    if [joint.mimic for joint in cad.followers] != [
-        joint.mimic for joint in result.model.followers
-    ]:
+    if not np.array_equal(cad.link_shares, result.model.link_shares):
         raise ResultError(
             f"in {cad.name} and in {result.robot} other joints follow others; compare descriptions"
             " with the same couplings"

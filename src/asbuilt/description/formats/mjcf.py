@@ -432,7 +432,7 @@ class _Tree:
             zero, master = (float(m.qpos0[m.jnt_qposadr[j]]) for j in (one, other))
             offset, multiplier = (float(value) for value in coefficients[:2])
             name = self.joints[other].name
-            followed = Mimic(name, multiplier, zero + offset - multiplier * master)
+            followed = Mimic({name: multiplier}, zero + offset - multiplier * master)
             self.joints[one] = replace(self.joints[one], mimic=followed)
             taken += 1
         return int(m.neq) - taken

@@ -13,9 +13,11 @@ from asbuilt.dynamics.drives.torque import described_drive
 def usual_drive(model: RobotModel, source: str) -> DriveSet:
     """Return the usual drive terms of a robot for a torque of this source.
 
-    These are the default terms, those of coupled motors if the source measures motors, and the
+    These are those that its description names (`usual_drive`), or the default terms, those of coupled motors if the source measures motors, and the
     springs and balancers of the description.
     """
+    if model.usual_drive:
+        return DriveSet.parse(model.usual_drive)
     drive = DriveSet.default(source)
     if source in MOTOR_SOURCES:
         drive = DriveSet((*drive.terms, *coupled_motor_terms(model).terms))

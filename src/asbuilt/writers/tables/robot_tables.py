@@ -87,7 +87,7 @@ def joints_table(model: RobotModel) -> Table:
         rows.append(
             (
                 joint.name,
-                joint.kind if joint.mimic is None else f"follows {joint.mimic.joint}",
+                joint.kind if joint.has_motor else f"follows {' and '.join(joint.mimic.factors)}",
                 parent,
                 _vector(joint.before[:3, 3]),
                 _vector(joint.before[:3, 2]),
