@@ -431,7 +431,7 @@ class RobotModel:
         if coupling is not None:
             free = [k for k, name in enumerate(self.joint_names) if name not in values]
             coupling = coupling[np.ix_(free, free)]
-            if abs(np.linalg.det(coupling)) < 1e-9:
+            if abs(np.linalg.det(coupling)) < 1e-9 and self.coupling is None:
                 raise DescriptionError(
                     f"{self.name}: with {', '.join(values)} locked, the coupled motors of the other"
                     " joints do not turn with these alone; lock the joints coupled to them too"

@@ -366,7 +366,7 @@ class RobotFile(_Table):
                 f" leave them to {self.extends}"
             )
         if not self.extends and (missing := {"name", "links"} - self.model_fields_set):
-            raise ValueError(f"{' and '.join(sorted(missing))} must be given, or extends")
+            raise ValueError(f"{' and '.join(sorted(missing))}: is missing; or give extends")
         if not self.extends and not self.links:
             raise ValueError("links is empty; a robot needs a link")
         if self.convention is None and any(link.dh is not None for link in self.links):
