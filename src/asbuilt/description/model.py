@@ -18,6 +18,7 @@ from asbuilt.description.structure.couplings import (
     tree_order,
 )
 from asbuilt.description.structure.locking import held_followers, locked_positions, merged
+from asbuilt.description.structure.motors import with_rotors
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
@@ -288,6 +289,28 @@ class RobotModel:
             followers=(),
             motor_coupling=None,
             usual_drive="",
+        )
+
+    @property
+    def with_rotors(self) -> RobotModel:
+        """The robot with a joint for every coordinate; itself where that is so.
+
+        Its motors that are no joints turn rotors without weight.
+        """
+        if all(joint.mimic is None for joint in self.joints):
+            return self
+        joints, followers, links, frames = with_rotors(
+            self.joints, self.followers, self.links, self.frames
+        )
+        shares = self.motor_shares
+        turning = np.where(shares.any(axis=1)[:, None], shares, np.eye(self.n_joints))
+        return replace(
+            self,
+            joints=joints,
+            followers=followers,
+            links=links,
+            frames=frames,
+            motor_coupling=turning if shares.any() else None,
         )
 
     def in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:

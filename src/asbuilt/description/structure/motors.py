@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from asbuilt.description.structure.parts import DriveValues, Joint, JointLimits, Mimic
+import numpy as np
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.structure.parts import (
+    ROOT,
+    DriveValues,
+    Frame,
+    Joint,
+    JointLimits,
+    Link,
+    Mimic,
+)
 from asbuilt.errors import DescriptionError
 
 
@@ -78,3 +89,56 @@ def _matched(motors: Mapping[str, object], moved: Mapping[str, Mimic]) -> dict[s
                 " must move a joint that no other one takes; name it in a coupling, or leave it out"
             )
     return at
+
+
+def with_rotors(
+    joints: Sequence[Joint],
+    followers: Sequence[Joint],
+    links: Sequence[Link],
+    frames: Sequence[Frame],
+) -> tuple[tuple[Joint, ...], tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
+    """Return parts of a robot in which every coordinate is a joint of its own.
+
+    A motor that is no joint gets a rotor without weight on the root, and the joint that had its
+    coordinate follows, as other programs need it.
+    """
+    moved = [k for k, joint in enumerate(joints) if joint.mimic is not None]
+    new = {k: len(links) + i for i, k in enumerate(moved)}
+    place = {link: new.get(link, link) for link in range(len(links))} | {ROOT: ROOT}
+    taken = {joint.name_in_tree for joint in (*joints, *followers)}
+    behind = []
+    for k in moved:
+        mimic, name = joints[k].mimic, joints[k].name_in_tree
+        assert mimic is not None
+        name = f"{name} joint" if name == joints[k].name else name
+        while name in taken - {joints[k].name_in_tree}:
+            name += "_"
+        behind.append(
+            replace(
+                joints[k],
+                name=name,
+                parent=place[joints[k].parent],
+                mimic=replace(mimic, joint=""),
+                limits=JointLimits(),
+                drive=DriveValues(),
+            )
+        )
+    return (
+        tuple(
+            replace(joint, parent=ROOT, before=np.eye(4), after=np.eye(4), mimic=None)
+            if k in new
+            else replace(joint, parent=place[joint.parent])
+            for k, joint in enumerate(joints)
+        ),
+        (*(replace(joint, parent=place[joint.parent]) for joint in followers), *behind),
+        (
+            *(
+                Link(f"rotor of {joints[k].name}", LinkInertia.zero(), weightless=True)
+                if k in new
+                else link
+                for k, link in enumerate(links)
+            ),
+            *(links[k] for k in moved),
+        ),
+        tuple(replace(frame, link=place[frame.link]) for frame in frames),
+    )
