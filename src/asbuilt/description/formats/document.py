@@ -172,7 +172,7 @@ def _link_document(link: Link) -> dict[str, Any]:
         "name": link.name,
         "inertia": link.inertia.parameters.tolist(),
         "inertia_known": link.inertia_known,
-        "weightless": link.weightless,
+        "negligible": link.negligible,
         "parts": [[name, inertia.parameters.tolist()] for name, inertia in link.parts],
     }
 
@@ -182,7 +182,7 @@ def _link(document: Mapping[str, Any]) -> Link:
         name=str(document["name"]),
         inertia=LinkInertia(_array(document["inertia"])),
         inertia_known=bool(document["inertia_known"]),
-        weightless=bool(document.get("weightless", False)),
+        negligible=bool(document.get("negligible", False)),
         parts=tuple(
             (str(name), LinkInertia(_array(parameters))) for name, parameters in document["parts"]
         ),

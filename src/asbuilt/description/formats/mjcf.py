@@ -17,6 +17,7 @@ from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import described_text, outermost_tag, parsed_xml
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
 from asbuilt.description.model import (
     ROOT,
     DriveValues,

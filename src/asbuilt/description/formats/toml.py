@@ -13,7 +13,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.dh import DHRow, dh_joint, dh_lengths, joint_on_origin
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat, format_of
 from asbuilt.description.formats.toml_tables import (
     DHTable,
     LinkTable,
@@ -21,6 +21,7 @@ from asbuilt.description.formats.toml_tables import (
     RobotFile,
     checked_file,
 )
+from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values, parsed_length, rotated_symbols
 from asbuilt.description.model import (
@@ -44,7 +45,7 @@ from asbuilt.description.rotation import (
 )
 from asbuilt.description.structure.motors import coupled_joints
 from asbuilt.errors import AsbuiltError, DescriptionError
-from asbuilt.untrusted import parsed_toml, read_text, reason
+from asbuilt.untrusted import parsed_toml, read_bytes, read_text, reason
 
 
 def read_robot_toml(path: str | Path) -> RobotModel:
@@ -253,10 +254,13 @@ def _model(file: RobotFile, source: str) -> RobotModel:
 
 def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
     """Return the robot of another description with what a file says beside it."""
-    from asbuilt.description.load import load_robot  # noqa: PLC0415 - which reads this format
-
-    path = Path(file.extends)
-    model = load_robot(path if folder is None or path.is_absolute() else folder / path)
+    path = (folder or Path()) / file.extends
+    if not path.is_file():
+        raise DescriptionError(f"extends names {path}, where there is no file")
+    found = format_of(path, read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION))
+    if found is None:
+        raise DescriptionError(f"extends names {path}, which is no description in a known format")
+    model = found.read(path)
     every, links, frames = model.in_tree_order()
     joints = coupled_joints(every, _motors(file), _moved(file))
     said = {
@@ -345,8 +349,8 @@ def _link(link: LinkTable) -> Link:
     return Link(
         name=link.name,
         inertia=inertia or LinkInertia.zero(),
-        inertia_known=inertia is not None or link.weightless,
-        weightless=link.weightless,
+        inertia_known=inertia is not None or link.negligible,
+        negligible=link.negligible,
     )
 
 

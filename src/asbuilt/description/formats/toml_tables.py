@@ -257,7 +257,7 @@ class LinkTable(MassTable):
     limits: LimitsTable = LimitsTable()
     drive: DriveTable = DriveTable()
     mimic: MimicTable | None = None
-    weightless: bool = False
+    negligible: bool = False
 
     @model_validator(mode="after")
     def _one_geometry(self) -> LinkTable:
@@ -272,8 +272,6 @@ class LinkTable(MassTable):
             raise ValueError("axis has length zero")
         if self.parts and self.mass is not None:
             raise ValueError("give the mass properties of the link or of its parts, not both")
-        if self.weightless and (self.parts or self.mass):
-            raise ValueError("a weightless link has no mass; leave out its mass or weightless")
         return self
 
 
@@ -368,7 +366,7 @@ class RobotFile(_Table):
         if not self.extends and (missing := {"name", "links"} - self.model_fields_set):
             raise ValueError(f"{' and '.join(sorted(missing))}: is missing; or give extends")
         if not self.extends and not self.links:
-            raise ValueError("links is empty; a robot needs a link")
+            raise ValueError("links: Tuple should have at least 1 item, a robot needs a link")
         if self.convention is None and any(link.dh is not None for link in self.links):
             raise ValueError(
                 'the file has dh rows but does not say which: add convention = "standard" or'

@@ -133,7 +133,7 @@ def with_rotors(
         (*(replace(joint, parent=place[joint.parent]) for joint in followers), *behind),
         (
             *(
-                Link(f"rotor of {joints[k].name}", LinkInertia.zero(), weightless=True)
+                Link(f"rotor of {joints[k].name}", LinkInertia.zero(), negligible=True)
                 if k in new
                 else link
                 for k, link in enumerate(links)

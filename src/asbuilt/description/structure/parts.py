@@ -185,7 +185,7 @@ class Link:
 
     `inertia` is the sum of its `parts`, which remember bodies merged over fixed joints.
 
-    `inertia_known` is False where the description gave none and zeros stand in. A `weightless`
+    `inertia_known` is False where the description gave none and zeros stand in. A `negligible`
     link is said to have an inertia too small to matter: none of its parameters is estimated.
     """
 
@@ -193,7 +193,7 @@ class Link:
     inertia: LinkInertia
     inertia_known: bool = True
     parts: tuple[tuple[str, LinkInertia], ...] = ()
-    weightless: bool = False
+    negligible: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -110,9 +110,9 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         np.sum([inertia.parameters for _, inertia in link.parts], axis=0) if link.parts else None
     )
     by_parts = whole is not None and np.array_equal(whole, link.inertia.parameters)
-    if link.weightless:
-        lines.append("weightless = true")
-    elif link.inertia_known and not by_parts:
+    if link.negligible:
+        lines.append("negligible = true")
+    if link.inertia_known and not by_parts:
         lines += _inertia_fields(link.inertia)
     if joint.mimic is None or not joint.has_motor:
         lines += _drive_fields(joint)

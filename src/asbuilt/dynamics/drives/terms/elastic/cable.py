@@ -48,6 +48,10 @@ class Cable(DriveTerm):
     nonlinear = (ORDER,)
     by_construction = True
 
+    def powers_of_ratio(self) -> tuple[float, ...]:
+        """Return 1 + k for the power k of position."""
+        return tuple(1.0 + k for k in range(1, HIGHEST + 1))
+
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
         """Return the powers; the first is that of a spring."""
         return of_curve(self.value("order"))

@@ -28,6 +28,10 @@ class MotorCable(DriveTerm):
     of_motor = True
     by_construction = True
 
+    def powers_of_ratio(self) -> tuple[float, ...]:
+        """Return 1 + k for the power k of position."""
+        return tuple(1.0 + k for k in range(1, HIGHEST + 1))
+
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
         """Return the powers, which nothing else has."""
         return of_curve(self.value("order"), own=self.key)
