@@ -281,9 +281,7 @@ class RobotModel:
         joints, links, frames = self.in_tree_order()
         return replace(
             self,
-            joints=tuple(
-                replace(joint, name=joint.name_in_tree, mimic=None) for joint in joints
-            ),
+            joints=tuple(replace(joint, name=joint.name_in_tree, mimic=None) for joint in joints),
             links=links,
             frames=frames,
             followers=(),
@@ -303,7 +301,8 @@ class RobotModel:
             self.joints, self.followers, self.links, self.frames
         )
         shares = self.motor_shares
-        turning = np.where(shares.any(axis=1)[:, None], shares, np.eye(self.n_joints))
+        turns = np.any(shares, axis=1)
+        turning = np.where(turns[:, None], shares, np.eye(self.n_joints))
         return replace(
             self,
             joints=joints,

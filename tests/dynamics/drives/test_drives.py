@@ -114,7 +114,8 @@ def test_a_new_term_brings_columns_parameters_and_load():
 
 def _has_speed(term, key):
     return key in ("balancer", "extension_spring") or any(
-        parameter.speed for parameter in term.nonlinear)
+        parameter.speed for parameter in term.nonlinear
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -14,10 +14,10 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
+from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import described_text, outermost_tag, parsed_xml
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
 from asbuilt.description.model import (
     ROOT,
     DriveValues,

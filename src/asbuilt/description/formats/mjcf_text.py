@@ -31,8 +31,8 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     `before after`, and the joint's axis and anchor in it are `R_after^T z` and `-R_after^T
     p_after`. Armature, viscous and Coulomb friction become armature, damping and frictionloss; an
     offset has no place in MJCF and is left out. Joints that follow one other do so by an equality,
-    those that follow several by a fixed tendon of constant length. `actuators` adds a torque motor per joint, `shapes`
-    rods and housings that neither weigh nor collide.
+    those that follow several by a fixed tendon of constant length. `actuators` adds a torque motor
+    per joint, `shapes` rods and housings that neither weigh nor collide.
 
     Raises
     ------

@@ -203,7 +203,7 @@ def _add_axis(
 
 
 def _add_mimic(written: Element, axis: Element, place: str) -> None:
-    """Add what SDF 1.11 says of a joint that follows: `multiplier (leader - reference) + offset`."""
+    """Add a joint that follows, by SDF 1.11 at `multiplier (leader - reference) + offset`."""
     mimic = axis.find("mimic")
     if mimic is None:
         return

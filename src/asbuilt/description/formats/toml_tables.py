@@ -317,11 +317,15 @@ class CouplingTable(_Table):
                 f" turns; got {', '.join((*self.model_fields_set,)) or 'nothing'}"
             )
         name, factors = next(iter(joints.items()))
-        if not isinstance(factors, dict) or not factors or any(
-            isinstance(each, bool)
-            or not isinstance(each, int | float)
-            or not abs(each) <= LARGEST
-            for each in factors.values()
+        if (
+            not isinstance(factors, dict)
+            or not factors
+            or any(
+                isinstance(each, bool)
+                or not isinstance(each, int | float)
+                or not abs(each) <= LARGEST
+                for each in factors.values()
+            )
         ):
             raise ValueError(
                 f"{name} must be a table of motors or joints with finite factors, such as"

@@ -217,7 +217,7 @@ def coupling_of(robot: str, joints: Sequence[Joint], followers: Sequence[Joint])
             matrix[i, names.index(name)] = factor
     if np.linalg.matrix_rank(matrix) < len(joints):
         still = np.linalg.svd(matrix)[2][-1]
-        held = [name for name, share in zip(names, still, strict=True) if abs(share) > 1e-6]
+        held = sorted(name for name, share in zip(names, still, strict=True) if abs(share) > 1e-6)
         raise DescriptionError(
             f"{robot}: the couplings are contradictory: some motion of {', '.join(held)} moves no"
             " link; every motor must move a joint in a way of its own"

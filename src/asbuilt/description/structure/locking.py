@@ -200,13 +200,16 @@ class _Lock:
         self._by_name = {joint.name_in_tree: joint for joint in by_name.values()} | dict(by_name)
         self._locked, self._asked = locked, asked
         self.held = {name for name in asked if name in by_name}
-        while more := {
-            joint.name
-            for joint in by_name.values()
-            if joint.mimic is not None
-            and not joint.has_motor
-            and all(self._is_still(name) for name in joint.mimic.factors)
-        } - self.held:
+        while (
+            more := {
+                joint.name
+                for joint in by_name.values()
+                if joint.mimic is not None
+                and not joint.has_motor
+                and all(self._is_still(name) for name in joint.mimic.factors)
+            }
+            - self.held
+        ):
             self.held |= more
 
     def _is_still(self, source: str) -> bool:
@@ -234,7 +237,7 @@ class _Lock:
 
     def place(self, joint: Joint) -> float:
         """Return the position of a joint itself by those of what moves it."""
-        if joint.mimic is None or self._asked.get(joint.name) is not None and not joint.has_motor:
+        if joint.mimic is None or (self._asked.get(joint.name) is not None and not joint.has_motor):
             return self.value(joint.name)
         moved = (factor * self.value(name) for name, factor in joint.mimic.factors.items())
         return sum(moved) + joint.mimic.offset

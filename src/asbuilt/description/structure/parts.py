@@ -130,8 +130,8 @@ class Joint:
 
     The pose of the link in its parent link is `before @ motion(q) @ after`, 4 x 4 matrices [m]; the
     motion is a rotation about z or a translation along z. `mimic` says how motors and other joints
-    move this one, None if a motor of its own and of its name does, one to one. Raises `DescriptionError` for another kind, and for
-    matrices that are no placements.
+    move this one, None if a motor of its own and of its name does, one to one. Raises
+    `DescriptionError` for another kind, and for matrices that are no placements.
     """
 
     name: str

@@ -13,8 +13,8 @@ from asbuilt.dynamics.drives.torque import described_drive
 def usual_drive(model: RobotModel, source: str) -> DriveSet:
     """Return the usual drive terms of a robot for a torque of this source.
 
-    These are those that its description names (`usual_drive`), or the default terms, those of coupled motors if the source measures motors, and the
-    springs and balancers of the description.
+    These are those that its description names (`usual_drive`), or the default terms, those of
+    coupled motors if the source measures motors, and the springs and balancers described.
     """
     if model.usual_drive:
         return DriveSet.parse(model.usual_drive)

@@ -8,14 +8,14 @@ import numpy as np
 
 from asbuilt.findings import joined
 from asbuilt.identification.calibration.added_moments import AddedMoments
-from asbuilt.tables import Column, Shown, Table, percent, rounded
+from asbuilt.tables import Cell, Column, Shown, Table, percent, rounded
 
 UNITS = ("kg m", "kg m", "kg m", "kg")
 
 
 def moments_table(found: AddedMoments) -> Table:
     """Return what a weight adds, with standard errors and what is not determined."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for name, unit, value, error in zip(
         found.names, UNITS, found.values.tolist(), found.std_errors.tolist(), strict=True
     ):
