@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import PARAMETER_NAMES
@@ -17,6 +17,7 @@ from asbuilt.dynamics.batches import flat, joint_samples, over_samples
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.dynamics.kernels import rigid_body
+from asbuilt.dynamics.kernels.coupled_rows import coupled_rows
 from asbuilt.dynamics.kernels.recursion import layout_of
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_count
@@ -72,11 +73,22 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
     return [np.flatnonzero(mask[k, chosen]) for k in range(n)]
 
 
+@lru_cache(maxsize=16)
+def _moves(model: RobotModel) -> NDArray[np.bool_]:
+    """Return which coordinates move which links of the tree, (n_links + 1, n), the root first."""
+    tree, shares = model.tree, model.link_shares[list(model.link_order)] != 0.0
+    moves = np.zeros((model.n_links + 1, model.n_joints), dtype=bool)
+    for i in range(model.n_links):
+        moves[i + 1] = shares[list(tree.ancestors(i))].any(axis=0)
+    moves.setflags(write=False)
+    return moves
+
+
 @dataclass(frozen=True, eq=False)
 class TreeRows:
-    """Make the rows of joints that others follow from those of the joints of all links.
+    """Hold which rows of the joints of all links make up those of the coordinates.
 
-    By virtual work `Y = E^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
+    By virtual work `Y = A^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
     factor with rows of the tree (m,), and the rows of the plan (m,) to which their product counts.
     """
 
@@ -99,19 +111,8 @@ class TreeRows:
                 sums.append((float(coupling.matrix[i, k]), own, rows[k, inertial[plan.support[i]]]))
         return cls(coupling, plan, tuple(sums))
 
-    def fill(self, state: Sequence[Array], target: Array, threads: int | None) -> None:
-        """Write the rows of the links for states q, qd and qdd (N, n_joints) into `target`."""
-        q, qd, qdd = state
-        of_tree = self.plan.buffer(len(q))
-        rates = self.coupling.rates(qd), self.coupling.rates(qdd)
-        self.plan.evaluate(self.coupling.positions(q), *rates, of_tree, threads=threads)
-        for _, _, rows in self.sums:
-            target[rows, : len(q)] = 0.0
-        for factor, own, rows in self.sums:
-            target[rows, : len(q)] += factor * of_tree[own, : len(q)]
-
     def weights(self, weights: Array, n_samples: int) -> Array:
-        """Return weights of the rows of the tree for those of the plan: the transpose of `fill`."""
+        """Return weights of the rows of the tree for those of the plan: the adjoint of `A^T`."""
         found = np.zeros((self.plan.n_rows, n_samples))
         for factor, own, rows in self.sums:
             found[own] += factor * weights[rows, :n_samples]
@@ -249,10 +250,7 @@ class RegressorPlan:
                 f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples}"
                 f" columns, got {target.dtype} {target.shape}; use plan.buffer(n_samples)"
             )
-        if self.tree is not None:
-            self.tree.fill(inputs, target, threads)
-        else:
-            self._fill(inputs, target, threads)
+        self._fill(inputs, target, threads)
         for _, rows_of_drive, columns in self._drive_columns(*inputs):
             target[rows_of_drive, :n_samples] = columns
         return self.joint_rows(target, n_samples)
@@ -260,16 +258,21 @@ class RegressorPlan:
     def _fill(self, inputs: Sequence[Array], target: Array, threads: int | None) -> None:
         """Write the rows of the links for checked states into `target`."""
         robot, vectors, rows, width = (
-            layout_of(self.model).arrays,
+            layout_of(self.model.tree).arrays,
             [flat(array) for array in inputs],
             target.reshape(-1),
             target.shape[1],
         )
+        coupling = self.model.coupling
+        if coupling is None:
+            evaluate, places, moved = rigid_body.regressor_rows, self.places, ()
+        else:
+            evaluate = coupled_rows
+            places = np.ascontiguousarray(self.places[:, coupling.order])
+            moved = (coupling.matrix, coupling.shares, coupling.offset, _moves(self.model))
 
         def work(start: int, stop: int) -> None:
-            rigid_body.regressor_rows(
-                *robot, self.places, self.bounds, *vectors, start, stop, rows, width
-            )
+            evaluate(*robot, *moved, places, self.bounds, *vectors, start, stop, rows, width)
 
         over_samples(work, inputs[0].shape[0], threads)
 
