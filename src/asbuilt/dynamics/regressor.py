@@ -269,7 +269,7 @@ class RegressorPlan:
         else:
             evaluate = coupled_rows
             places = np.ascontiguousarray(self.places[:, coupling.order])
-            moved = (coupling.matrix, coupling.shares, coupling.offset, _moves(self.model))
+            moved = (coupling.matrix, coupling.offset, _moves(self.model))
 
         def work(start: int, stop: int) -> None:
             evaluate(*robot, *moved, places, self.bounds, *vectors, start, stop, rows, width)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -62,13 +61,6 @@ class Coupling:
     def parameters(self, chi: Array) -> Array:
         """Return inertial parameters (..., n_links, 10) in the order of the tree."""
         return np.ascontiguousarray(chi[..., self.order, :])
-
-    @cached_property
-    def shares(self) -> Array:
-        """The transpose of `matrix`, contiguous and read-only."""
-        shares = np.ascontiguousarray(self.matrix.T)
-        shares.setflags(write=False)
-        return shares
 
     @property
     def of_links(self) -> Array:

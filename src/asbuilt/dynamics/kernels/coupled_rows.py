@@ -1,8 +1,8 @@
 """Batched regressor of robots whose joints move by couplings `A q + b`.
 
-By virtual work `Y = A^T Y_tree`. The screw by which coordinate k moves a link is the sum of those of
-the joints above it by the shares `A[j, k]`. The recursion carries these sums instead of a screw per
-joint, so that a coordinate costs as much as a joint of a tree does.
+By virtual work `Y = A^T Y_tree`. The screw by which coordinate k moves a link is the sum of those
+of the joints above it by the shares `A[j, k]`. The recursion carries these sums instead of a screw
+per joint, so that a coordinate costs as much as a joint of a tree does.
 """
 
 # mypy: allow-untyped-defs
@@ -38,18 +38,20 @@ SCREW = 6
 
 
 @compiled
-def _move_joints(rows, coordinates, angles, shares, offset):
+def _move_joints(rows, coordinates, angles, matrix, offset):
     """Write `A q + b`, `A qd` and `A qdd` of a block into the rows of the joints."""
-    m, n = shares.shape
+    n, m = matrix.shape
     for part in range(3):
         for i in range(n):
+            row = angles + (part * n + i) * BLOCK
             for at in range(0, BLOCK, LANES):
-                moved = splat(offset[i] if part == 0 else 0.0)
-                for k in range(m):
-                    if shares[k, i] != 0.0:
-                        row = coordinates + (part * m + k) * BLOCK + at
-                        moved = moved + load(rows, row) * shares[k, i]
-                store(rows, angles + (part * n + i) * BLOCK + at, moved)
+                store(rows, row + at, splat(offset[i] if part == 0 else 0.0))
+            for k in range(m):
+                share, source = matrix[i, k], coordinates + (part * m + k) * BLOCK
+                if share != 0.0:
+                    for at in range(0, BLOCK, LANES):
+                        moved = load(rows, row + at) + load(rows, source + at) * share
+                        store(rows, row + at, moved)
 
 
 @compiled
@@ -96,7 +98,7 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
 
 @compiled
 def _coupled_block(
-    codes, placements, n_slots, matrix, shares, offset, moves, places, rows, out, stride, start
+    codes, placements, n_slots, matrix, offset, moves, places, rows, out, stride, start
 ):
     """Run down the tree with the block of coordinates in `rows` and write the chosen columns."""
     n, m = matrix.shape
@@ -105,7 +107,7 @@ def _coupled_block(
     angles = terms + TERMS * BLOCK
     cosine = angles + 3 * n * BLOCK
     sine = cosine + BLOCK
-    _move_joints(rows, sine + BLOCK, angles, shares, offset)
+    _move_joints(rows, sine + BLOCK, angles, matrix, offset)
     for i in range(n):
         code, p = codes[i], placements[i]
         read, write = code[READ] * slot, code[WRITE] * slot
@@ -131,7 +133,6 @@ def coupled_rows(
     gravity,
     n_slots,
     matrix,
-    shares,
     offset,
     moves,
     places,
@@ -146,10 +147,10 @@ def coupled_rows(
 ):
     """Write the regressor with samples innermost, as `regressor_rows` does for a tree.
 
-    The n joints move by `matrix @ q + offset` with the m coordinates, `shares` is the transpose of
-    `matrix`; `moves[i + 1, k]` says whether coordinate k moves link i, `moves[0]` that none moves
-    the root; `chain` is not needed; `places[k, i, c]` is the row of coordinate k and parameter c of link
-    i of the tree, or -1.
+    The n joints move by `matrix @ q + offset` with the m coordinates; `moves[i + 1, k]` says
+    whether coordinate k moves link i, and `moves[0]` that none moves the root; `chain` is not
+    needed; `places[k, i, c]` is the row of coordinate k and parameter c of link i of the tree, or
+    -1.
     """
     n, m = matrix.shape
     known = n_slots * (STATE + SCREW * m) + TERMS + 3 * n + 2
@@ -165,7 +166,6 @@ def coupled_rows(
             placements,
             n_slots,
             matrix,
-            shares,
             offset,
             moves,
             places,
