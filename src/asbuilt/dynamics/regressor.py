@@ -17,7 +17,6 @@ from asbuilt.dynamics.batches import flat, joint_samples, over_samples
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.dynamics.kernels import rigid_body
-from asbuilt.dynamics.kernels.coupled_rows import coupled_rows
 from asbuilt.dynamics.kernels.recursion import layout_of
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_count
@@ -267,7 +266,7 @@ class RegressorPlan:
         if coupling is None:
             evaluate, places, moved = rigid_body.regressor_rows, self.places, ()
         else:
-            evaluate = coupled_rows
+            evaluate = rigid_body.coupled_rows
             places = np.ascontiguousarray(self.places[:, coupling.order])
             moved = (coupling.matrix, coupling.offset, _moves(self.model))
 
