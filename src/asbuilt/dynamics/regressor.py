@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -262,9 +263,9 @@ class RegressorPlan:
             target.reshape(-1),
             target.shape[1],
         )
-        coupling = self.model.coupling
+        coupling, moved = self.model.coupling, tuple[Any, ...]()
         if coupling is None:
-            evaluate, places, moved = rigid_body.regressor_rows, self.places, ()
+            evaluate, places = rigid_body.regressor_rows, self.places
         else:
             evaluate = rigid_body.coupled_rows
             places = np.ascontiguousarray(self.places[:, coupling.order])
