@@ -74,8 +74,12 @@ def payload(
     )
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
     from asbuilt.workflow.calibration.payload_study import identify_moments, identify_payload
-    from asbuilt.writers.tables.moments_table import moments_document, moments_table
-    from asbuilt.writers.tables.payload_tables import payload_document, payload_text
+    from asbuilt.writers.tables.payload_tables import (
+        moments_document,
+        moments_table,
+        payload_document,
+        payload_text,
+    )
     from asbuilt.writers.tables.tabular import write_json
 
     options = replace(

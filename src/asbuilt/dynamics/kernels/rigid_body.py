@@ -388,8 +388,8 @@ def coupled_rows(
     those of the joints above it by the shares `A[j, k]`; the recursion carries these sums instead
     of a screw per joint. The n joints move by `matrix @ q + offset` with the m coordinates;
     `moves[i + 1, k]` says whether coordinate k moves link i, and `moves[0]` that none moves the
-    root; `chain` is not needed; `places[k, i, c]` is the row of coordinate k and parameter c of link i of the tree, or
-    -1.
+    root; `chain` is not needed; `places[k, i, c]` is the row of coordinate k and parameter c of
+    link i of the tree, or -1.
     """
     n, m = matrix.shape
     by_sample = columns.size > 0

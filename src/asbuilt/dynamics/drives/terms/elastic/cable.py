@@ -15,7 +15,8 @@ from asbuilt.dynamics.drives.term import (
 HIGHEST = 7
 """Powers of position: the order of Wang et al. (RA-L 4, 2019) for the cable of a master arm."""
 CURVE = tuple(
-    f"minimum(maximum(order-{k - 1},0),1)*(q/{math.pi})**{k}" for k in range(1, HIGHEST + 1)
+    "*".join([f"minimum(maximum(order-{k - 1},0),1)", *[f"(q/{math.pi})"] * k])
+    for k in range(1, HIGHEST + 1)
 )
 """Powers of position over half a turn; those above the order are zero."""
 ORDER = NonlinearParameter("order", float(HIGHEST), 1.0, float(HIGHEST), "", fitted=False)
