@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -23,6 +28,7 @@ RECIPES = dict(
 )
 GROUPS = {
     "drive_terms": "saturated_term",
+    "effects": "cogging_effect",
     "estimators": "halved_estimator",
     "log_formats": "json_lines_format",
     "motions": "mirrored_motions",
@@ -30,6 +36,7 @@ GROUPS = {
     "report_sections": "outside_section",
     "description_formats": "chain_format",
     "simulator_formats": "gains_format",
+    "figures": "error_figure",
 }
 
 
@@ -68,6 +75,19 @@ def test_term_and_description_format(site: Path, tmp_path: Path) -> None:
     assert json.loads(shown)["robot"] == "heavy"
 
 
+def test_figure(site: Path) -> None:
+    """The function is found by its entry point, beside those of asbuilt."""
+    asked = "from asbuilt.identification.result.result import FIGURES; print(*FIGURES)"
+    done = subprocess.run(
+        [sys.executable, "-c", asked],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert {"errors", "torque", "residuals", "parameters"} <= set(done.stdout.split())
+
+
 @pytest.mark.study
 def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
     motion = random_fourier(bundled_robot("two-link"), 1, duration=6.0)
@@ -96,3 +116,20 @@ def test_motions_and_program(site: Path, tmp_path: Path) -> None:
     assert found["parametrisation"] == "mirrored"
     points = json.loads((tmp_path / found["files"]["json_program"]).read_text())
     assert points[0] == pytest.approx(points[-1])
+
+
+@pytest.mark.study
+def test_effect_from_outside_is_named(site: Path, tmp_path: Path) -> None:
+    model = bundled_robot("two-link")
+    motion = random_fourier(model, 1, duration=20.0)
+    log = simulate_recording(model, motion, rate=200.0, rng=1)
+    ripple = np.zeros_like(log.tau)
+    ripple[:, 0] = 2.0 * np.sin(12.0 * log.q[:, 0])
+    write_recording(tmp_path / "log.csv", replace(log, tau=log.tau + ripple))
+    (printed,) = call_elsewhere(
+        tmp_path, site, "identify two-link log.csv --cutoff 20 --unchecked --json"
+    )
+    found = {each["effect"]: each for each in json.loads(printed)["effects"]}
+    assert found["cogging"]["joint"] == model.joint_names[0]
+    assert found["cogging"]["estimate"] == pytest.approx(2.0, rel=0.1)
+    assert not found["cogging"]["in_model"]

@@ -318,9 +318,9 @@ def test_flipped_torque_is_refused_with_its_cure(
         (
             ["simulate", "scara", "--rate", "0", "--engine", "inverse-dynamics"],
             2,
-            "rate of the logger must be a positive number",
+            "greater than or equal to 0.1",
         ),
-        (["excite", "scara", "--rate", "nan"], 2, "--rate takes a positive number"),
+        (["excite", "scara", "--rate", "nan"], 2, "less than or equal to 100000"),
         (["excite", "scara", "--out", "{log}/motion.csv"], 2, "is a file"),
         (["show", ""], 1, "no bundled robot"),
         (["show", "x" * 5000], 1, "File name too long"),

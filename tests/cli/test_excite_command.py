@@ -114,7 +114,7 @@ def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
     ("options", "status", "said"),
     [
         (("--criterion", "x"), 2, "available: d, a, e, condition"),
-        (("--duration", "-3"), 2, "positive number"),
+        (("--duration", "-3"), 2, "from 0.01 to 3600 s"),
         (("--duration", "soon"), 2, "positive number"),
         (("--focus", "Izz7"), 2, "no base parameter"),
         (("--noise", "a,b"), 2, "numbers separated by commas"),
@@ -123,7 +123,7 @@ def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
         (("--collision", "nothing.toml"), 1, "cannot be read"),
         (("--tool-box", "1,2"), 2, "six numbers"),
         (("--fraction", "0"), 2, "fraction"),
-        (("--static", "0"), 2, "at least"),
+        (("--static", "0"), 2, "greater than or equal to 1"),
     ],
 )
 def test_wrong_usage_is_one_message(

@@ -13,6 +13,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import RecordingError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
@@ -24,6 +25,7 @@ from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study, identify
+from asbuilt.workflow.watching.watch import watch
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 DEAD = 4
@@ -193,3 +195,10 @@ def test_a_sliding_joint_in_millimetres_is_named_with_its_cure() -> None:
     assert found.joint == model.joint_names[k]
     assert f'[joint_units] {found.joint} = "mm"' in str(found.cure)
     assert "millimetres" not in check_recording(model, log).codes
+
+
+def test_an_observer_needs_the_torque_of_every_joint(recording: Recording) -> None:
+    model = load_robot("kuka-iiwa7-r800")
+    result = identify_samples(model, prepare_samples(recording, SignalChain(cutoff=6.0)))
+    with pytest.raises(RecordingError, match=model.joint_names[DEAD]):
+        watch(result, with_channel(recording, DEAD, np.nan))

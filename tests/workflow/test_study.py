@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -244,16 +243,13 @@ def test_a_robot_that_stands_askew_is_suspected(roll: float, said: bool) -> None
     study = identify(
         model, [recording], options=StudyOptions(drive=drive, holdout="blocks:2s:3", checked=False)
     )
-    assert ("base_tilt" in {warning.code for warning in study.findings}) is said
+    assert ("tilt" in {each.effect for each in study.effects}) is said
 
 
 @pytest.mark.study
 def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
-    model, drive, tilt = (
-        load_robot("kuka-iiwa7-r800"),
-        DriveSet.parse("viscous,coulomb,offset"),
-        0.05,
-    )
+    model, drive = load_robot("kuka-iiwa7-r800"), DriveSet.parse("viscous,coulomb,offset")
+    tilt = 0.05
     robot = (
         VirtualRobot.ideal(model)
         .with_drive(drive, np.tile([0.5, 0.8, 0.1], 7))
@@ -263,25 +259,19 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
     recording = robot.record(
         random_fourier(model, rng=1, duration=30.0, n_harmonics=8), rate=100.0, rng=1
     ).recording
-    study = identify(
-        model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False)
+    options = StudyOptions(method="auto", drive=drive, checked=False)
+    badly = identify(model, [recording], options=replace(options, effects="none"))
+    codes = {finding.code for finding in badly.findings}
+    assert {"consistent_fit_costly", "consistent_fit_rejected"} & codes
+    for mended in (
+        identify(model, [recording], options=options),
+        identify(model, [recording], options=replace(options, effects="none", mounting="estimate")),
+    ):
+        assert mended.result.physically_consistent
+        left = {warning.code for warning in mended.findings}
+        assert not {"consistent_fit_costly", "consistent_fit_rejected", "effect_found"} & left
+    (found,) = (
+        each for each in identify(model, [recording], options=options).effects if each.in_model
     )
-    findings = {finding.code: finding for finding in study.findings}
-    assert {"consistent_fit_costly", "consistent_fit_rejected"} & set(findings)
-    assert findings["base_tilt"].cure.settings == {"mounting": "estimate"}
-    found = re.search(
-        r"(-?[\d.]+) \+- [\d.]+ deg about x and (-?[\d.]+)", findings["base_tilt"].message
-    )
-    assert found is not None
-    np.testing.assert_allclose(
-        np.abs([float(angle) for angle in found.groups()]), [np.rad2deg(tilt), 0.0], atol=0.15
-    )
-    mended = identify(
-        model,
-        [recording],
-        options=StudyOptions(method="auto", drive=drive, checked=False, mounting="estimate"),
-    )
-    assert mended.result.physically_consistent
-    assert not {"consistent_fit_costly", "consistent_fit_rejected", "base_tilt"} & {
-        warning.code for warning in mended.findings
-    }
+    assert found.effect == "tilt"
+    assert found.estimate == pytest.approx(np.rad2deg(tilt), abs=0.15)

@@ -540,6 +540,14 @@ def test_a_rate_too_high_is_no_unit(iiwa: RobotModel, clean: Recording) -> None:
     assert "look like degrees, or the rate of" in unclear.message
 
 
+def test_speeds_beyond_the_limits_are_named(iiwa: RobotModel, clean: Recording) -> None:
+    assert "velocity_limit" not in check_recording(iiwa, clean).codes
+    fast = replace(clean, t=clean.t / 2.0, qd=None, qdd=None)
+    assert "the rate of 400 Hz is too high" in finding(iiwa, fast, "velocity_limit").message
+    slow = replace(clean, t=clean.t * 2.0, qd=None, qdd=None)
+    assert "velocity_limit" not in check_recording(iiwa, slow).codes
+
+
 def test_positions_of_another_robot_are_not_degrees_for_sure() -> None:
     """The joints of a UR10e turn farther than those of a Puma, whose gravity they do not fit."""
     puma, arm = bundled_robot("puma-560"), bundled_robot("ur10e")

@@ -44,4 +44,4 @@ def test_few_parameters_differ_and_none_matters(name: str) -> None:
     for study in studies:
         assert study.attribution is not None
         assert set(study.attribution.chosen) <= {"offset", "friction", "armature"}
-        assert "base_tilt" not in {warning.code for warning in study.findings}
+        assert "tilt" not in {each.effect for each in study.effects}

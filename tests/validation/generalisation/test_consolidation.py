@@ -40,9 +40,9 @@ def test_one_warning_names_the_recordings_of_the_others():
 def test_what_another_warning_explains_is_information_and_only_then():
     alone = consolidated([warning("consistent_fit_costly")])
     assert [each.severity for each in alone] == ["warning"]
-    beside = consolidated([warning("consistent_fit_costly"), warning("base_tilt")])
+    beside = consolidated([warning("consistent_fit_costly"), warning("effect_found")])
     assert [(each.code, each.severity) for each in beside] == [
-        ("base_tilt", "warning"),
+        ("effect_found", "warning"),
         ("consistent_fit_costly", "info"),
     ]
 
@@ -50,12 +50,17 @@ def test_what_another_warning_explains_is_information_and_only_then():
 def test_errors_stay_first_and_apart_and_causes_come_before_symptoms():
     errors = [Finding("not_finite", "error", "bad", joint=name) for name in ("A1", "A2")]
     found = consolidated(
-        [warning("nothing_held_out"), warning("poorly_determined"), warning("base_tilt"), *errors]
+        [
+            warning("nothing_held_out"),
+            warning("poorly_determined"),
+            warning("effect_found"),
+            *errors,
+        ]
     )
     assert [each.code for each in found] == [
         "not_finite",
         "not_finite",
-        "base_tilt",
+        "effect_found",
         "poorly_determined",
         "nothing_held_out",
     ]

@@ -113,7 +113,9 @@ def test_a_part_that_the_filters_leave_nothing_of_is_not_held_out(log) -> None:
 
 def test_samples_that_are_prepared_already_are_divided_too(log) -> None:
     samples = prepare_samples(log, resolve_chain(SignalChain(delay=None), log))
-    by_default, whole = studied(samples), studied(samples, holdout=None)
+    by_default, whole = (
+        studied(samples, effects="none", **more) for more in ({}, {"holdout": None})
+    )
     np.testing.assert_array_equal(by_default.result.estimates, whole.result.estimates)
     assert len(by_default.validations) == 1
 

@@ -60,7 +60,9 @@ def test_ledger_identifies_what_the_logs_identify(
 ) -> None:
     settings = next(iter(open_ledger(str(filled)).types().values()))
     study = fleet_identify(filled, "R1", options=FleetIdentification(method=method))
-    options = StudyOptions(chain=settings.chain, drive=settings.drive, method=method)
+    options = StudyOptions(
+        effects="none", chain=settings.chain, drive=settings.drive, method=method
+    )
     expected = identify(MODEL, logs, options=options).result
     samples = [prepare_samples(read_recording(log, model=MODEL), settings.chain) for log in logs]
     scatter = identify_samples(MODEL, samples, drive=settings.drive, method=method)
@@ -77,7 +79,9 @@ def test_a_window_of_dates_takes_the_logs_in_it(filled: Path, logs: list[Path]) 
     since, until = datetime(2026, 3, 2, tzinfo=UTC), datetime(2026, 3, 4, tzinfo=UTC)
     study = fleet_identify(filled, "R1", since=since, until=until)
     settings = next(iter(open_ledger(str(filled)).types().values()))
-    options = StudyOptions(chain=settings.chain, drive=settings.drive, method="consistent")
+    options = StudyOptions(
+        effects="none", chain=settings.chain, drive=settings.drive, method="consistent"
+    )
     expected = identify(MODEL, logs[1:3], options=options).result
     np.testing.assert_allclose(study.result.estimates, expected.estimates, rtol=1e-9)
     with pytest.raises(IdentifiabilityError, match="no sound log of R1 since 2030"):

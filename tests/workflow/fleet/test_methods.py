@@ -55,7 +55,9 @@ def test_the_result_is_that_of_the_logs(robot: tuple[str, list[Path], Path], met
     name, logs, ledger = robot
     settings = next(iter(open_ledger(str(ledger)).types().values()))
     asked = FleetIdentification(method=method)
-    options = StudyOptions(method=method, chain=settings.chain, drive=settings.drive, holdout=None)
+    options = StudyOptions(
+        effects="none", method=method, chain=settings.chain, drive=settings.drive, holdout=None
+    )
     expected = None
     with suppress(IdentifiabilityError):
         expected = identify(bundled_robot(name), logs, options=options).result

@@ -245,10 +245,11 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         beginning = as_modelled(model, credible(first_of(recording, MEASURED)))
+        beginning = beginning.with_torque_of(known.has_torque)
         of_commands = list(command_findings(model, beginning))
         of_torques = [
             *_findings_in_time(model, chunks, known),
-            *unsigned_findings(known.torque_range, beginning),
+            *unsigned_findings(model, known.torque_range, beginning),
         ]
         findings += of_commands
         findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))

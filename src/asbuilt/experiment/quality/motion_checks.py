@@ -36,11 +36,15 @@ class DegreeThresholds:
     speed: float = 3.0
     median_speed: float = 1.5
     speed_as_degrees: float = 1.5
+    too_fast: float = 1.2
+    """Multiple of its limit of velocity at the median joint from which the rate is doubted."""
     assumed_speed: float = 10.0
     """Velocity limit of a joint without one [rad/s]."""
 
 
 DEGREES = DegreeThresholds()
+USUAL_PEAK = 99.5
+"""Percentile of the speeds that counts as the largest: single samples may be noise."""
 _STILL_ANGLE, _STILL_LENGTH = 0.05, 0.005
 """Position range below which a joint hardly moves [rad], and a prismatic one [m]."""
 
@@ -149,7 +153,7 @@ def _far(model: RobotModel, recording: FirstPass, revolute: Mask) -> tuple[str, 
 
 def _fast(model: RobotModel, motion: SmoothedMotion, revolute: Mask) -> tuple[str, float]:
     """Return which joint is far too fast, empty if none is, and how many times its limit."""
-    speed = np.percentile(np.abs(motion.qd[:, revolute]), 99.5, axis=0)
+    speed = np.percentile(np.abs(motion.qd[:, revolute]), USUAL_PEAK, axis=0)
     limits = [joint.limits for joint in model.joints if joint.is_revolute]
     fastest = np.array([limit.velocity for limit in limits])
     known = np.isfinite(fastest) & (fastest > 0)
@@ -181,6 +185,8 @@ def motion_findings(
     if excess is None:
         yield from _in_millimetres(model, recording)
         yield from _limits(model, recording)
+        if motion is not None:
+            yield from _too_fast(model, recording.rate, motion)
     elif "rate_wrong" not in [each.code for each in velocities]:
         yield excess.finding(recording.rate)
     degrees = excess is not None and excess.unit != "rad"
@@ -227,6 +233,26 @@ def _limits(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
             joint=joint.name,
             time=float(recording.t[worst]),
         )
+
+
+def _too_fast(model: RobotModel, rate: float, motion: SmoothedMotion) -> Iterator[Finding]:
+    """Find that most joints exceed their limits of velocity, as at a rate too high."""
+    limits = np.array([joint.limits.velocity for joint in model.joints])
+    known = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
+    if not known.size:
+        return
+    ratio = np.percentile(np.abs(motion.qd[:, known]), USUAL_PEAK, axis=0) / limits[known]
+    if np.median(ratio) <= DEGREES.too_fast:
+        return
+    k = int(np.argmax(ratio))
+    yield Finding(
+        "velocity_limit",
+        "warning",
+        f"most joints exceed their limits of velocity, {model.joint_names[known[k]]}"
+        f" {ratio[k]:.2g} times: the rate of {rate:.4g} Hz is too high (limits allow"
+        f" {rate / ratio[k]:.3g} Hz), or the limits are wrong",
+        Cure("give the rate of the recording, or correct the time stamps", settings={"rate": "HZ"}),
+    )
 
 
 def _still(model: RobotModel, recording: FirstPass, scale: float) -> Iterator[Finding]:

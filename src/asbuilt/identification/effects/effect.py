@@ -95,6 +95,8 @@ class Effect(ABC):
     """Whether a model can have it; others are named."""
     of_log: ClassVar[bool] = False
     """Whether the log is wrong rather than the model."""
+    least: ClassVar[float] = 0.0
+    """Size below which it is of no account."""
     positive: ClassVar[bool] = False
     """Whether only positive values are physical."""
 

@@ -122,26 +122,18 @@ class _Search:
 
     def run(self) -> Effects:
         """Return the effects, found on a robot with the tilt that they have."""
-        tilt, turned = np.zeros(2), self.model
-        first: Trial | None = None
-        of_tilt: dict[tuple[str, int | None], tuple[float, float]] = {}
-        for _ in range(LIMITS.rounds):
-            selection, path = self._selected(turned)
-            step = next((each for each in path if each.candidate.effect.key == Tilt.key), None)
-            if step is None:
-                break
-            if first is None:
-                first, of_tilt = step, _errors(selection, path)
-            tilt = tilt + step.values
-            if np.max(np.abs(tilt)) > LIMITS.farthest:
-                return Effects(self.model, self.drive)
-            turned = self._turned(tilt)
-            if np.linalg.norm(step.values) < LIMITS.settled:
-                break
-        others = [each for each in path if each.candidate.effect.key != Tilt.key]
-        taken = [*([replace(first, values=tilt)] if first else []), *others]
-        errors = of_tilt | _errors(selection, others)
-        added = [each.candidate for each in others if each.candidate.effect.in_model]
+        turned, selection = self.model, self._selection(self.model)
+        path = selection.run(selection.equations.candidates)
+        first = next((each for each in path if each.candidate.effect.key == Tilt.key), None)
+        of_tilt = {} if first is None else _errors(selection, path)
+        taken = path
+        if first is not None:
+            tilt, turned, selection, path = self._settled(first, selection)
+            taken = [_turned_by(first, tilt), *path]
+        errors = of_tilt | _errors(selection, path)
+        added = [
+            each.candidate for each in path if each.candidate.effect.in_model and each is not first
+        ]
         drive, fitted, undetermined = self._fitted(turned, added)
         found = tuple(
             self._found(each, selection, errors[each.candidate.at])
@@ -150,6 +142,31 @@ class _Search:
             and (each.candidate.effect.in_model or _matters(*errors[each.candidate.at]))
         )
         return Effects(turned, drive, found, fitted)
+
+    def _settled(
+        self, first: Trial, selection: Selection
+    ) -> tuple[Array, RobotModel, Selection, list[Trial]]:
+        """Return the tilt, the robot with it, and what is selected beside it.
+
+        All effects are asked again beside a tilt that stays free, so that none takes what the first
+        linearisation has left of it.
+        """
+        tilt, step = np.zeros(2), _about_axes(first.values, first.candidate, selection)
+        path: list[Trial] = []
+        for _ in range(LIMITS.rounds):
+            tilt = tilt + step
+            if np.max(np.abs(tilt)) > LIMITS.farthest:
+                raise IdentifiabilityError(f"the base of {self.model.name} is on a wall or ceiling")
+            turned = self._turned(tilt)
+            selection = self._selection(turned)
+            free = selection.equations.candidates[selection.place_of(Tilt.key)]
+            own = selection.acting(free)
+            selection.taken = [own]
+            path = selection.run(selection.equations.candidates)
+            step = _about_axes(selection.values()[own.places], own, selection)
+            if np.linalg.norm(step) < LIMITS.settled:
+                break
+        return tilt, turned, selection, path
 
     def _fitted(
         self, model: RobotModel, taken: Sequence[Candidate]
@@ -177,8 +194,8 @@ class _Search:
         places = tuple(each for each in fit.places if (each.term, each.joint) not in undetermined)
         return drive, places, undetermined
 
-    def _selected(self, model: RobotModel) -> tuple[Selection, list[Trial]]:
-        """Return a selection on a robot, and what it took."""
+    def _selection(self, model: RobotModel) -> Selection:
+        """Return the selection on a robot, nothing taken yet."""
         base, prior = find_base_parameters(model, self.drive), cad_prior(model, self.drive)
         seen = accumulate_stream(model, base, self.samples, block_seconds=self.seconds)
         fit = fit_consistent(seen, prior)
@@ -198,8 +215,7 @@ class _Search:
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
-        selection = Selection(equations, cad, fit.weights, groups)
-        return selection, selection.run(equations.candidates)
+        return Selection(equations, cad, fit.weights, groups)
 
     def _turned(self, tilt: Array) -> RobotModel:
         """Return the robot with its base turned by a tilt about the axes across gravity."""
@@ -242,9 +258,27 @@ def _errors(
     selection: Selection, path: Sequence[Trial]
 ) -> dict[tuple[str, int | None], tuple[float, float]]:
     """Return the held-out errors before and after each effect was taken."""
-    taken = [each.candidate for each in path]
-    steps = [selection.held_out_error(taken[:k]) for k in range(len(taken) + 1)]
-    return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(taken)}
+    added = [each.candidate for each in path]
+    given = [each for each in selection.taken if each not in added]
+    steps = [selection.held_out_error([*given, *added[:k]]) for k in range(len(added) + 1)]
+    return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(added)}
+
+
+def _turned_by(first: Trial, tilt: Array) -> Trial:
+    """Return the tilt that was taken first with its final angles about both axes."""
+    covariance = np.zeros((len(tilt),) * 2)
+    felt = np.flatnonzero(tilt)
+    if len(felt) == len(first.values):
+        covariance[np.ix_(felt, felt)] = first.covariance
+    return replace(first, values=tilt, covariance=covariance)
+
+
+def _about_axes(values: Array, tilt: Candidate, selection: Selection) -> Array:
+    """Return the angles of a tilt about both axes, 0 about one that the robot does not feel."""
+    both = selection.equations.candidates[selection.place_of(Tilt.key)].places
+    angles = np.zeros(len(both))
+    angles[np.isin(both, tilt.places)] = values
+    return angles
 
 
 def _matters(before: float, after: float) -> bool:

@@ -24,6 +24,11 @@ class SelectionRules:
     worth: float = 0.02
     """Share of the squared torque error on other motion that an effect must take away: 1 % of the
     torque error."""
+    sure: float = 2.0
+    """Fall of the cost, in half squares of independent standard errors: two of them."""
+    felt: float = 1e-3
+    """Share of the torque of some joint below which nothing is worth a term: models of arms are
+    not more exact."""
     imitated: float = 10.0
     """Fall of the cost, in its unit, that bodies nearer to CAD must be worth where the held-out
     error does not fall: they imitated the effect. 4.5 standard errors."""
@@ -31,6 +36,8 @@ class SelectionRules:
     """Share of the fall of the cost from which on another effect is a look-alike."""
     separate: float = 1e-6
     """Squared part of a column outside all others below which nothing can be said of it."""
+    acting: float = 1e-18
+    """Squared length of a column, in the largest, below which it does not act on this robot."""
     most: int = 20
     """Effects taken."""
     ridge: float = 1e-9
@@ -59,9 +66,9 @@ class Trial:
     `values` (m,) and `covariance` are of its parameters, by the scatter of time blocks, `p_value`
     that of their all being zero. `relief` (groups,) is the logarithm of the fall of the squared
     error on each held-out group. `gain` is the fall of the cost, `nearer` the part of it by which
-    bodies come nearer to CAD, both in half squares of independent standard errors; `fall` the share
-    of the squared torque error of the recordings that it takes away. `alternatives` would explain
-    as much, and are needless beside it.
+    bodies come nearer to CAD, both in half squares of independent standard errors; `felt` its
+    torque in that of the joint where this share is largest. `alternatives` would explain as much,
+    and are needless beside it.
     """
 
     candidate: Candidate
@@ -71,7 +78,7 @@ class Trial:
     relief: Array
     gain: float
     nearer: float
-    fall: float
+    felt: float
     alternatives: tuple[Candidate, ...] = ()
 
     @property
@@ -95,7 +102,9 @@ class Trial:
         Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
         motion is predicted no worse.
         """
-        if self.p_value * n_candidates > RULES.level:
+        if self.p_value * n_candidates > RULES.level or self.gain < RULES.sure:
+            return False
+        if self.felt < RULES.felt or np.linalg.norm(self.values) < self.candidate.effect.least:
             return False
         if self.candidate.effect.positive and not np.all(self.values > 0.0):
             return False
@@ -140,6 +149,9 @@ class Selection:
         self._held = [equations.stacked(weights, group) for group in groups]
         self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
         self.taken = list(taken)
+        torque = np.array([gram[-1, -1] for gram in equations.of_joints])
+        self._rms = np.sqrt(torque / max(int(equations.counts.sum()), 1))
+        self._tiny = max(float(self._rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
 
     def run(self, candidates: Sequence[Candidate]) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
@@ -154,10 +166,20 @@ class Selection:
                 path[-1] = _with_alternatives(path[-1], before, trials)
             if not trials or len(path) == RULES.most:
                 return path
-            best = max(trials, key=lambda each: each.worth)
+            best = _preferred(max(trials, key=lambda each: each.worth), trials)
             path.append(best)
             self.taken.append(best.candidate)
             before = trials
+
+    def place_of(self, key: str) -> int:
+        """Return the number of the candidate of an effect of the whole robot."""
+        return next(j for j, each in enumerate(self.equations.candidates) if each.at == (key, None))
+
+    def acting(self, candidate: Candidate) -> Candidate:
+        """Return a candidate with those of its parameters that act on this robot."""
+        length = np.diag(self._total)
+        acts = length > RULES.acting * length.max(initial=0.0)
+        return replace(candidate, places=candidate.places[acts[candidate.places]])
 
     def held_out_error(self, taken: Sequence[Candidate]) -> float:
         """Return the relative torque error on the held-out groups with these effects."""
@@ -178,14 +200,17 @@ class Selection:
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
-        c, eq = trial.candidate.places, self.equations
-        energy = 0.0
-        for support, gram in zip(eq.support, eq.of_joints, strict=True):
+        return float(np.linalg.norm(self._torques(trial.candidate, trial.values)))
+
+    def _torques(self, candidate: Candidate, values: Array) -> Array:
+        """Return the RMS torque (n,) of a candidate with these values."""
+        c, eq = candidate.places, self.equations
+        energy = np.zeros(eq.n_joints)
+        for k, (support, gram) in enumerate(zip(eq.support, eq.of_joints, strict=True)):
             own = np.flatnonzero(np.isin(support, c))
-            if len(own):
-                x = trial.values[np.searchsorted(c, support[own])]
-                energy += float(x @ gram[np.ix_(own, own)] @ x)
-        return float(np.sqrt(energy / max(int(eq.counts.sum()), 1)))
+            x = values[np.searchsorted(c, support[own])]
+            energy[k] = x @ gram[np.ix_(own, own)] @ x
+        return np.sqrt(np.maximum(energy, 0.0) / max(int(eq.counts.sum()), 1))
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
         """Try each candidate alone beside those taken; what it replaces is left out then."""
@@ -246,21 +271,19 @@ class Selection:
         for gram in self._held:
             fit = self._fit(self._total - gram, inside, columns)
             H = gram @ fit.moves
-            parts.append(
-                (fit, fit.residual @ H, fit.moves.T @ H, fit.residual @ gram @ fit.residual)
-            )
+            error = float(fit.residual @ gram @ fit.residual)
+            parts.append((fit, fit.residual @ H, fit.moves.T @ H, error))
         by_block = np.array([whole.moves.T @ (gram @ whole.residual) for gram in self._blocks])
         of_block = np.array([whole.moves.T @ gram @ whole.moves for gram in self._blocks])
         length = np.diag(self._total)
         floor = np.finfo(np.float64).eps * np.array([gram[-1, -1] for gram in self._held])
         floor = floor + np.finfo(np.float64).tiny
         found = []
-        for each in candidates:
+        for candidate in candidates:
+            each = self.acting(candidate)
             c = np.searchsorted(columns, each.places)
             own, size = whole.schur[np.ix_(c, c)], np.sqrt(length[each.places])
-            if not np.all(size > 0.0) or (
-                np.linalg.eigvalsh(own / np.outer(size, size))[0] < RULES.separate
-            ):
+            if not c.size or np.linalg.eigvalsh(own / np.outer(size, size))[0] < RULES.separate:
                 continue
             d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
             left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
@@ -268,9 +291,9 @@ class Selection:
             after = whole.residual + whole.moves[:, c] @ d
             held_after = np.array([_left_out(part, c, size) for part in parts])
             relief = np.log(np.maximum(held_before, floor) / np.maximum(held_after, floor))
-            error, distance = float(after @ self._total @ after), self._distance(after)
+            left_over, distance = float(after @ self._total @ after), self._distance(after)
             effect = 2.0 * self.prior.effect
-            gain = (error_before + distance_before - error - distance) / effect
+            gain = (error_before + distance_before - left_over - distance) / effect
             if len(each.replaces):
                 # That a term in place of another one is zero is no question: its gain is one.
                 p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
@@ -283,27 +306,36 @@ class Selection:
                     relief,
                     gain,
                     (distance_before - distance) / effect,
-                    1.0 - error / error_before,
+                    float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny))),
                 )
             )
         return found
 
 
-def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
-    """Return a trial with the look-alikes among those that were taken `before` and not `after`.
+def _preferred(best: Trial, trials: Sequence[Trial]) -> Trial:
+    """Return a look-alike that the model can have, where it cannot have the best."""
+    alike = [t for t in trials if t.candidate.effect.in_model and _look_alike(best, t)]
+    if best.candidate.effect.in_model or not alike:
+        return best
+    return max(alike, key=lambda each: each.worth)
 
-    They predict other motion within one standard error of the paired differences.
+
+def _look_alike(taken: Trial, other: Trial) -> bool:
+    """Return whether another effect predicts other motion as well, for half the fall of the cost.
+
+    As well: within one standard error of the paired differences.
     """
-    still = {each.candidate.at for each in after}
+    lag = taken.relief - other.relief
+    error = float(lag.std(ddof=1)) / np.sqrt(len(lag))
+    return other.worth > RULES.alike * taken.worth and bool(lag.mean() <= error)
+
+
+def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
+    """Return a trial with the look-alikes among those that were taken `before` and not `after`."""
+    still = {taken.candidate.at, *(each.candidate.at for each in after)}
     found: dict[tuple[str, int | None], Candidate] = {}
     for each in before:
-        lag = taken.relief - each.relief
-        error = float(lag.std(ddof=1)) / np.sqrt(len(lag))
-        if (
-            each.candidate.at not in (taken.candidate.at, *still)
-            and each.worth > RULES.alike * taken.worth
-            and lag.mean() <= error
-        ):
+        if each.candidate.at not in still and _look_alike(taken, each):
             found.setdefault(each.candidate.at, each.candidate)
     return replace(taken, alternatives=tuple(found.values()))
 

@@ -300,7 +300,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
 def _attributed(choice: CauseChoice, result: IdentificationResult) -> Attribution:
     fits, weighed, whole = choice.fits, choice.weighed, choice.chosen
     e, cad = fits.cause_data, fits.fit(frozenset())
-    energy = np.where(cad.rms > 0.0, cad.rms**2, np.nan)
+    energy = np.where(cad.rms > 0.0, cad.rms**2, np.inf)
     refitted = shapley_values(weighed, lambda some: 1.0 - fits.fit(some).rms ** 2 / energy)
     parts = choice.parts()
     shares = tuple(

@@ -9,8 +9,7 @@ from types import MappingProxyType
 from asbuilt.findings import SEVERITIES, Finding, joined
 
 CAUSES = (
-    "base_tilt",
-    "spring_suspected",
+    "effect_found",
     "clock_wrong",
     "zero_position_wrong",
     "joint_gain_wrong",
@@ -25,7 +24,7 @@ EXPLAINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ill_conditioned": ("poorly_determined",),
         "few_blocks": ("poorly_determined",),
         "joints_correlated": ("poorly_determined",),
-        "link_mass_differs": ("base_tilt",),
+        "link_mass_differs": CAUSES,
         "not_excited": ("joint_without_torque",),
     }
 )
@@ -42,10 +41,9 @@ WEIGHT: tuple[str, ...] = (
     "joint_gain_wrong",
     "torque_saturates",
     "torque_unexplained",
-    "base_tilt",
     "consistent_fit_rejected",
     "consistent_fit_costly",
-    "spring_suspected",
+    "effect_found",
     "does_not_generalise",
     "cad_predicts_better",
     "link_mass_differs",

@@ -63,6 +63,15 @@ def check_joints(result: IdentificationResult, recorded: Recording | RecordingSt
             cure=Cure("give a log with torque or current"),
             file=recorded.source,
         )
+    if not head.has_torque.all():
+        missing = [name for name, has in zip(names, head.has_torque, strict=True) if not has]
+        raise RecordingError(
+            f"{recorded.source} has no usable torque of {', '.join(missing)}; the observer needs"
+            " that of every joint",
+            cure=Cure("log it, or name its column in a recording sheet: [columns] torque = [...]"),
+            file=recorded.source,
+            value=missing,
+        )
 
 
 def check_log(result: IdentificationResult, recorded: Recording | RecordingStream) -> None:

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.command.magnitude import (
     MagnitudeLaw,
     is_magnitude,
@@ -16,17 +18,27 @@ from asbuilt.experiment.quality.running_statistics import Extremes
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined
 
+MOST_POSES = 200
+"""Poses of a recording at which gravity is looked at."""
+SMALL = 1e-6
+"""Weight, as a share of the largest, that is none but rounding."""
 FEWEST_JOINTS = 2
 """Joints from which it is no accident that none has a torque of the other sign."""
 
 
-def unsigned_findings(measured: Extremes, beginning: Recording) -> Iterator[Finding]:
+def unsigned_findings(
+    model: RobotModel, measured: Extremes, beginning: Recording
+) -> Iterator[Finding]:
     """Find torques that are never negative at any joint, though joints move both ways.
 
     `measured` are the extremes of the torques, `beginning` the first samples of the recording,
-    whose commands, if there are any, say what was logged.
+    whose commands, if there are any, say what was logged. A joint that the model's gravity always
+    loads in the positive direction says nothing.
     """
-    if not is_unsigned(measured.low, measured.high) or not _reverses(beginning):
+    high = np.where(_held_up(model, beginning), 0.0, measured.high)
+    if not is_unsigned(measured.low, high):
+        return
+    if not _reverses(beginning):
         return
     laws = magnitude_laws(beginning)
     if laws and all(law is not None and law.holds and law.kind == "motor" for law in laws):
@@ -69,6 +81,15 @@ def is_unsigned(low: Array, high: Array) -> bool:
     """Return whether the extremes (n,) of the joints are those of magnitudes."""
     used = np.asarray(high) > 0.0
     return bool(np.count_nonzero(used) >= FEWEST_JOINTS and np.all(np.asarray(low) >= 0.0))
+
+
+def _held_up(model: RobotModel, recording: Recording) -> Mask:
+    """Return which joints (n,) bear a weight of one sign, positive, at all positions met."""
+    q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
+    q = q[:: max(1, len(q) // MOST_POSES)]
+    weight = inverse_dynamics(model, q, np.zeros(q.shape), np.zeros(q.shape), threads=1)
+    low, high = weight.min(axis=0, initial=np.inf), weight.max(axis=0, initial=0.0)
+    return np.asarray((low > 0.0) & (low > SMALL * high))
 
 
 def _reverses(recording: Recording) -> bool:

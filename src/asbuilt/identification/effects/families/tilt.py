@@ -23,6 +23,8 @@ class Tilt(Effect):
     key = "tilt"
     title = "base tilt"
     in_model = True
+    least = float(np.deg2rad(0.25))
+    """Accuracy of a floor that is called level."""
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return the angle between both directions of gravity [deg]."""
