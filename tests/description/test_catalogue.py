@@ -13,6 +13,8 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
 from asbuilt.errors import DescriptionError
 
 EXPECTED = {
+    "dvrk-mtm": 7,
+    "dvrk-psm": 7,
     "franka-panda": 7,
     "g1-arms": 14,
     "go2": 12,
@@ -189,7 +191,7 @@ def test_a_bundled_scara_carries_only_the_weight_of_quill_and_tool():
     [
         (
             "kuka-iiwa",
-            r"did you mean 'kuka-iiwa7-r800'.*bundled are franka-panda, g1-arms, go2",
+            r"did you mean 'kuka-iiwa7-r800'.*bundled are dvrk-mtm, dvrk-psm, franka-panda",
         ),
         ("PUMA560", r"did you mean 'puma-560'"),
         ("nonsense-xyz-123", r"no bundled robot and no file 'nonsense-xyz-123'; bundled are"),

@@ -111,7 +111,7 @@ def schema(
 
 def base(
     robot: Robot,
-    drive: Drive = "none",
+    drive: Drive = None,
     fixed_base: FixedBase = False,
     full: Full = False,
     as_json: AsJson = False,
@@ -131,7 +131,7 @@ def base(
     from asbuilt.writers.tables.tabular import base_document
 
     model = described_robot(robot, fixed_base=fixed_base)
-    found = find_base_parameters(model, DriveSet.parse(drive or "none"))
+    found = find_base_parameters(model, DriveSet.parse(drive or model.usual_drive or "none"))
     standard = standard_table if full else identifiability_table
     answer(
         as_json,

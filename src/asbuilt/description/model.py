@@ -14,7 +14,6 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
     coupling_of,
-    followed,
     separated,
     tree_order,
 )
@@ -24,6 +23,7 @@ from asbuilt.description.structure.locking import (
     locked_positions,
     merged,
 )
+from asbuilt.description.structure.motors import with_rotors
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
@@ -69,7 +69,8 @@ class RobotModel:
 
     Fixed joints are already merged. Joints that follow others (`mimic`) have no drive and no column
     in a log: the constructor sets them apart as `followers`, which move the links behind those of
-    the `joints`.
+    the `joints`. The names of `joints` are those of the coordinates of the robot: columns of a log,
+    drives. A joint that several of them move, or one by a factor, says so in its `mimic`.
 
     `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value
     of each symbol that the joints use. `drives_by_design` is False where the joints' drive values
@@ -79,8 +80,11 @@ class RobotModel:
     many arms; the motors' torques act on the joints by its transpose. None means T = 1.
     `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`, and
     `held_followers` those among them that follow a joint which moves, with that joint;
-    `assumed_carriers` are those that carry a joint which moves, at a position that nobody gave.
+    `assumed_carriers` are those that carry a joint which moves, or move it too, at a position that
+    nobody gave.
     `mass_ranges` are what is known of masses beside the description, as from a scale.
+    `usual_drive` names the drive terms that this robot calls for, empty for those that the source
+    of its torques calls for.
     `source` says where the description came from, `citation` whose facts they are.
     """
 
@@ -98,6 +102,7 @@ class RobotModel:
     held_followers: Mapping[str, str] = field(default_factory=dict)
     assumed_carriers: tuple[str, ...] = ()
     mass_ranges: tuple[MassRange, ...] = ()
+    usual_drive: str = ""
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
@@ -111,8 +116,8 @@ class RobotModel:
             )
         gravity.setflags(write=False)
         object.__setattr__(self, "gravity", gravity)
-        if len(self.joints) + len(self.followers) == len(self.links) and any(
-            joint.mimic is not None for joint in self.joints
+        if len(self.joints) + len(self.followers) == len(self.links) and not all(
+            joint.has_motor for joint in self.joints
         ):
             self._set_followers_apart()
         every = self.moving_joints
@@ -132,14 +137,14 @@ class RobotModel:
             )
         for names, what in (
             ([j.name for j in every], "joint"),
+            ([j.name_in_tree for j in every], "joint"),
             ([link.name for link in self.links], "link"),
         ):
             repeated = sorted({name for name in names if names.count(name) > 1})
             if repeated:
                 raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
         tree_order(self.name, every, len(self.joints))
-        for joint in self.followers:
-            followed(self.name, joint, every)
+        assert self.coupling is None or self.coupling.matrix.size
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -161,7 +166,7 @@ class RobotModel:
                     f"{self.name}: motor_coupling must be {len(self.joints)} x {len(self.joints)}"
                     f" finite numbers, got {coupling.shape}"
                 )
-            if abs(np.linalg.det(coupling)) < 1e-9:
+            if abs(np.linalg.det(coupling)) < 1e-9 and self.coupling is None:
                 raise DescriptionError(
                     f"{self.name}: motor_coupling is singular: some motion of the joints turns no"
                     f" motor; got {coupling.tolist()}"
@@ -208,17 +213,19 @@ class RobotModel:
 
     @property
     def link_joints(self) -> tuple[int, ...]:
-        """Joint whose drive moves each link relative to its parent, counted from 0."""
-        every = self.moving_joints
-        return tuple(
-            self.joint_names.index(followed(self.name, joint, every)[0]) for joint in every
-        )
+        """Coordinate that moves the joint of each link, counted from 0; of several the foremost.
+
+        That is the joint's own, else the one with the largest factor.
+        """
+        n = self.n_joints
+        if self.coupling is None:
+            return tuple(range(n))
+        return (*range(n), *np.argmax(np.abs(self.coupling.of_links[n:]), axis=1).tolist())
 
     @property
-    def link_shares(self) -> tuple[float, ...]:
-        """How far the joint of each link moves per unit of the joint whose drive moves it."""
-        every = self.moving_joints
-        return tuple(followed(self.name, joint, every)[1] for joint in every)
+    def link_shares(self) -> Array:
+        """How far the joint of each link moves per unit of each coordinate, (n_links, n_joints)."""
+        return np.eye(self.n_joints) if self.coupling is None else self.coupling.of_links
 
     @property
     def tool_link(self) -> int:
@@ -232,9 +239,10 @@ class RobotModel:
         >>> bundled_robot("puma-560").tool_link
         5
         """
-        parents, moved_by, link = self.parents, self.link_joints, self.n_joints - 1
+        parents, link = self.parents, self.n_joints - 1
+        driven = [set(np.flatnonzero(row).tolist()) for row in self.link_shares]
         while (up := parents[link]) != ROOT and any(
-            parent == up and moved_by[other] == moved_by[link]
+            parent == up and driven[other] == driven[link]
             for other, parent in enumerate(parents)
             if other != link
         ):
@@ -268,8 +276,8 @@ class RobotModel:
 
     @cached_property
     def coupling(self) -> Coupling | None:
-        """How the joints of all links move with those that have a drive, None if all have one."""
-        if not self.followers:
+        """How the joints of all links move with the coordinates, None where these are the same."""
+        if all(joint.mimic is None for joint in self.moving_joints):
             return None
         return coupling_of(self.name, self.joints, self.followers)
 
@@ -278,17 +286,41 @@ class RobotModel:
         """The robot with a drive at every joint, in the order of `coupling`; itself without one."""
         if self.coupling is None:
             return self
-        joints, links, frames = self._in_tree_order()
+        joints, links, frames = self.in_tree_order()
         return replace(
             self,
-            joints=tuple(replace(joint, mimic=None) for joint in joints),
+            joints=tuple(replace(joint, name=joint.name_in_tree, mimic=None) for joint in joints),
             links=links,
             frames=frames,
             followers=(),
             motor_coupling=None,
+            usual_drive="",
         )
 
-    def _in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
+    @property
+    def with_rotors(self) -> RobotModel:
+        """The robot with a joint for every coordinate; itself where that is so.
+
+        Its motors that are no joints turn rotors without weight.
+        """
+        if all(joint.mimic is None for joint in self.joints):
+            return self
+        joints, followers, links, frames = with_rotors(
+            self.joints, self.followers, self.links, self.frames
+        )
+        shares = self.motor_shares
+        turns = np.any(shares, axis=1)
+        turning = np.where(turns[:, None], shares, np.eye(self.n_joints))
+        return replace(
+            self,
+            joints=joints,
+            followers=followers,
+            links=links,
+            frames=frames,
+            motor_coupling=turning if shares.any() else None,
+        )
+
+    def in_tree_order(self) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
         """Return the joints of all links, links and frames, parents before their children."""
         every, order = self.moving_joints, self.link_order
         place = {link: i for i, link in enumerate(order)} | {ROOT: ROOT}
@@ -339,12 +371,17 @@ class RobotModel:
 
     @property
     def motor_shares(self) -> Array:
-        """How motors turn with joints, shape (n, n).
+        """How the far side of each drive turns with the coordinates, shape (n, n).
 
-        Rows are zero for motors that turn with their own joint alone.
+        Where joints are logged, that is a motor that turns with several of them
+        (`motor_coupling`); where motors are logged, a joint that several of them turn. Rows are
+        zero for drives of which both sides turn together.
         """
         n = self.n_joints
         T = np.eye(n) if self.motor_coupling is None else self.motor_coupling
+        if self.coupling is not None:
+            plain = np.all(np.eye(n) == T, axis=1)
+            T = np.where(plain[:, None], self.link_shares[:n], T)
         alone = np.count_nonzero(T, axis=1) <= 1
         return np.where(alone[:, None], 0.0, T)
 
@@ -415,16 +452,16 @@ class RobotModel:
         >>> elbow.joint_names, elbow.locked_joints
         (('joint_1',), {'joint_2': 0.5})
         """
-        every, all_links, all_frames = self._in_tree_order()
-        values = locked_positions(self.name, every, self.locked_joints, joints)
+        present, all_links, all_frames = self.in_tree_order()
+        values, after, places = locked_positions(self.name, present, self.locked_joints, joints)
         if not values:
             return self
-        kept, links, frames = merged(every, all_links, all_frames, values)
+        kept, links, frames = merged(after, all_links, all_frames, places)
         coupling = self.motor_coupling
         if coupling is not None:
             free = [k for k, name in enumerate(self.joint_names) if name not in values]
             coupling = coupling[np.ix_(free, free)]
-            if abs(np.linalg.det(coupling)) < 1e-9:
+            if abs(np.linalg.det(coupling)) < 1e-9 and self.coupling is None:
                 raise DescriptionError(
                     f"{self.name}: with {', '.join(values)} locked, the coupled motors of the other"
                     " joints do not turn with these alone; lock the joints coupled to them too"
@@ -439,8 +476,11 @@ class RobotModel:
             followers=(),
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
-            held_followers=held_followers(every, self.held_followers, values),
-            assumed_carriers=assumed_carriers(every, self.assumed_carriers, joints, values),
+            held_followers=held_followers(present, self.held_followers, values),
+            assumed_carriers=assumed_carriers(
+                present, self.assumed_carriers, joints, values, places
+            ),
+            usual_drive="",
             mass_ranges=tuple(
                 known
                 for known in self.mass_ranges

@@ -30,7 +30,7 @@ class OneSample:
     def __init__(
         self, model: RobotModel, drive: DriveSet, values: Array, parameters: Array
     ) -> None:
-        self._general = bool(model.followers)
+        self._general = model.coupling is not None
         if self._general:
             return
         layout, n = layout_of(model), model.n_joints

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import PARAMETER_NAMES
@@ -62,9 +62,9 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
     Links it carries, its own drive, motors it turns.
     """
     chosen, n = _checked_columns(model, drive, columns), model.n_joints
-    moved_by, carried = model.link_joints, np.zeros((n, model.n_links), dtype=bool)
+    moved_by, carried = model.link_shares != 0.0, np.zeros((n, model.n_links), dtype=bool)
     for i in range(model.n_links):
-        carried[[moved_by[link] for link in model.ancestors(i)], i] = True
+        carried[:, i] = moved_by[list(model.ancestors(i))].any(axis=0)
     links = np.repeat(carried, _PER_LINK, axis=1)
     turning = np.where(
         drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None]
@@ -74,11 +74,22 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
     return [np.flatnonzero(mask[k, chosen]) for k in range(n)]
 
 
+@lru_cache(maxsize=16)
+def _moves(model: RobotModel) -> NDArray[np.bool_]:
+    """Return which coordinates move which links of the tree, (n_links + 1, n), the root first."""
+    tree, shares = model.tree, model.link_shares[list(model.link_order)] != 0.0
+    moves = np.zeros((model.n_links + 1, model.n_joints), dtype=bool)
+    for i in range(model.n_links):
+        moves[i + 1] = shares[list(tree.ancestors(i))].any(axis=0)
+    moves.setflags(write=False)
+    return moves
+
+
 @dataclass(frozen=True, eq=False)
 class TreeRows:
-    """Make the rows of joints that others follow from those of the joints of all links.
+    """Hold which rows of the joints of all links make up those of the coordinates.
 
-    By virtual work `Y = E^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
+    By virtual work `Y = A^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
     factor with rows of the tree (m,), and the rows of the plan (m,) to which their product counts.
     """
 
@@ -101,19 +112,8 @@ class TreeRows:
                 sums.append((float(coupling.matrix[i, k]), own, rows[k, inertial[plan.support[i]]]))
         return cls(coupling, plan, tuple(sums))
 
-    def fill(self, state: Sequence[Array], target: Array, threads: int | None) -> None:
-        """Write the rows of the links for states q, qd and qdd (N, n_joints) into `target`."""
-        q, qd, qdd = state
-        of_tree = self.plan.buffer(len(q))
-        rates = self.coupling.rates(qd), self.coupling.rates(qdd)
-        self.plan.evaluate(self.coupling.positions(q), *rates, of_tree, threads=threads)
-        for _, _, rows in self.sums:
-            target[rows, : len(q)] = 0.0
-        for factor, own, rows in self.sums:
-            target[rows, : len(q)] += factor * of_tree[own, : len(q)]
-
     def weights(self, weights: Array, n_samples: int) -> Array:
-        """Return weights of the rows of the tree for those of the plan: the transpose of `fill`."""
+        """Return weights of the rows of the tree for those of the plan: the adjoint of `A^T`."""
         found = np.zeros((self.plan.n_rows, n_samples))
         for factor, own, rows in self.sums:
             found[own] += factor * weights[rows, :n_samples]
@@ -251,27 +251,26 @@ class RegressorPlan:
                 f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples}"
                 f" columns, got {target.dtype} {target.shape}; use plan.buffer(n_samples)"
             )
-        if self.tree is not None:
-            self.tree.fill(inputs, target, threads)
-        else:
-            self._fill(inputs, target, threads)
+        self._write(inputs, target, NO_COLUMNS, threads)
         for _, rows_of_drive, columns in self._drive_columns(*inputs):
             target[rows_of_drive, :n_samples] = columns
         return self.joint_rows(target, n_samples)
 
-    def _fill(self, inputs: Sequence[Array], target: Array, threads: int | None) -> None:
-        """Write the rows of the links for checked states into `target`."""
-        robot, vectors, rows, width = (
-            layout_of(self.model).arrays,
-            [flat(array) for array in inputs],
-            target.reshape(-1),
-            target.shape[1],
-        )
+    def _write(
+        self, inputs: Sequence[Array], target: Array, columns: Indices, threads: int | None
+    ) -> None:
+        """Write the rows of the links for checked states into `target`, as the kernels do."""
+        evaluate, places, coupling = rigid_body.regressor, self.places, self.model.coupling
+        robot: tuple[object, ...] = layout_of(self.model.tree).arrays
+        if coupling is not None:
+            evaluate = rigid_body.coupled_rows
+            places = np.ascontiguousarray(places[:, coupling.order])
+            robot = *robot, coupling.matrix, coupling.offset, _moves(self.model)
+        vectors = [flat(array) for array in inputs]
+        rows, width = target.reshape(-1), target.shape[1]
 
         def work(start: int, stop: int) -> None:
-            rigid_body.regressor(
-                *robot, self.places, self.bounds, NO_COLUMNS, *vectors, start, stop, rows, width
-            )
+            evaluate(*robot, places, self.bounds, columns, *vectors, start, stop, rows, width)
 
         over_samples(work, inputs[0].shape[0], threads)
 
@@ -292,26 +291,9 @@ class RegressorPlan:
         for (first, stop), positions in zip(self.bounds.tolist(), self.support, strict=True):
             order[first:stop] = positions
         matrix = np.zeros((n_samples * n, self.columns.size))
-        if self.tree is not None:
-            by_joint = self.evaluate(*inputs, threads=threads)
-            for k, (part, positions) in enumerate(zip(by_joint, self.support, strict=True)):
-                matrix[k::n, positions] = part[: positions.size].T
-            return matrix
-        robot, vectors, out, width = (
-            layout_of(self.model).arrays,
-            [flat(array) for array in inputs],
-            matrix.reshape(-1),
-            matrix.shape[1],
-        )
-
-        def work(start: int, stop: int) -> None:
-            rigid_body.regressor(
-                *robot, self.places, self.bounds, order, *vectors, start, stop, out, width
-            )
-
-        over_samples(work, n_samples, threads)
+        self._write(inputs, matrix, order, threads)
         for k, rows_of_drive, columns in self._drive_columns(*inputs):
-            matrix.reshape(n_samples, n, width)[:, k, order[rows_of_drive]] = columns.T
+            matrix.reshape(n_samples, n, matrix.shape[1])[:, k, order[rows_of_drive]] = columns.T
         return matrix
 
     def checked_inputs(self, *arrays: Array) -> tuple[Array, ...]:

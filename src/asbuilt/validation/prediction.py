@@ -202,9 +202,7 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
             f"{cad.name} has {cad.n_joints} joints, the result of {result.robot} has"
             f" {result.model.n_joints}"
         )
-    if [joint.mimic for joint in cad.followers] != [
-        joint.mimic for joint in result.model.followers
-    ]:
+    if not np.array_equal(cad.link_shares, result.model.link_shares):
         raise ResultError(
             f"in {cad.name} and in {result.robot} other joints follow others; compare descriptions"
             " with the same couplings"
@@ -240,7 +238,8 @@ def _drive_torque(
 
     A parameter that is regrouped with others counts as zero.
     """
-    own = base.drive.without("armature", "motor_armature", "spring", "balancer")
+    springs = [each.key for each in base.drive.terms if each.by_position]
+    own = base.drive.without("armature", "motor_armature", *springs)
     identified = dict(zip(base.names, estimates.tolist(), strict=True))
     values = [identified.get(name, 0.0) for k in range(model.n_joints) for name in own.names(k + 1)]
     state = (samples.q, samples.qd, samples.qdd)

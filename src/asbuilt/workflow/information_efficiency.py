@@ -12,6 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import plain
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.information.efficiency import InformationEfficiency, information_efficiency
 from asbuilt.excitation.limits import MotionBounds
@@ -170,7 +171,8 @@ def recorded_information(
     RecordingError
         If the recording is too short for the filters.
     """
-    drive = DriveSet.default(head_of(recording).torque_source)
+    source = head_of(recording).torque_source
+    drive = usual_drive(model, source) if model.usual_drive else DriveSet.default(source)
     (samples,) = prepare(model, [recording], checked=False).training
     travel, top_speed = _use_of_limits(model, samples)
     return RecordedInformation(

@@ -113,7 +113,9 @@ def test_a_new_term_brings_columns_parameters_and_load():
 
 
 def _has_speed(term, key):
-    return key == "balancer" or any(parameter.speed for parameter in term.nonlinear)
+    return key in ("balancer", "extension_spring") or any(
+        parameter.speed for parameter in term.nonlinear
+    )
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def test_a_finger_that_follows_one_which_moves_is_named(hand: RobotModel, log: P
     """Held still, it is missing from the torque of the other; locked together, nothing is."""
     left, right = hand.joints[-2:]
     coupled = replace(
-        hand, joints=(*hand.joints[:-1], replace(right, mimic=Mimic("finger_left", -1.0, 0.06)))
+        hand, joints=(*hand.joints[:-1], replace(right, mimic=Mimic({"finger_left": -1.0}, 0.06)))
     )
     arm = coupled.locked(["finger_right"])
     assert arm.held_followers == {"finger_right": "finger_left"}

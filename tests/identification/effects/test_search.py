@@ -12,11 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.effects.effect import EFFECTS, Described
 from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.effects.wanted import EffectsWanted
 from asbuilt.identification.identify import identify_samples
@@ -90,6 +91,42 @@ def test_described_springs_stay_while_others_are_found(trial) -> None:
     assert other.joint == alone.joint == case.model.joint_names[4]
     assert other.estimate == pytest.approx(alone.estimate, rel=1e-2)
     assert effects.drive == DRIVE.with_term(*DriveSet.parse("spring:joints=4/5").terms)
+
+
+def test_a_curve_over_position_is_found_as_a_cable_beside_described_terms(trial) -> None:
+    """What only a description states, or has columns that are zero by it, is in nobody's way."""
+    case = trial("ur10e", "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
+    samples = sprung(case, np.zeros(6))
+    x = samples.q[:, 3] / np.pi
+    samples = replace(samples, tau=samples.tau + np.outer(8.0 * x**3 - 4.0 * x**2, np.eye(6)[3]))
+    spring = "extension_spring:joints=2:inner=0.03:outer=0.2:angle=0.4:length=0.1"
+    for described in ("", f",{spring},cable:joints=2:order=2"):
+        drive = DriveSet.parse(f"viscous,coulomb,offset{described}")
+        effects = find_effects(case.model, drive, [samples])
+        (found,) = effects.found
+        assert (found.effect, found.joint) == ("cable", case.model.joint_names[3])
+        assert found.error_after < 0.8 * found.error_before
+        (term,) = (term for term in effects.drive.terms if term.key == "cable")
+        assert term.is_at(3)
+        assert not term.is_at(4)
+
+
+def test_terms_that_only_a_description_states_are_not_sought() -> None:
+    model = load_robot("ur10e")
+    zero = np.zeros(6)
+    robot = Described(model, DRIVE, np.zeros(78), "sensor", zero, (np.ones((9, 6)),))
+    sought = {
+        each.effect.key: each.n_columns for _, e in EFFECTS.items() for each in e.variants(robot)
+    }
+    assert not {"extension_spring", "motor_cable"} & set(sought)
+    assert sought["cable"] == 3
+    assert available_terms()["cable"].can_be_found
+    stated = DriveSet.parse("extension_spring:inner=1:outer=1:angle=0:length=1").terms[0]
+    assert stated.can_be_found
+    kinds = {key: e.kind for key, e in EFFECTS.items()}
+    assert {kinds[key] for key in ("spring", "balancer", "cable")} == {"position"}
+    assert kinds["stribeck"] == "friction"
+    assert kinds["load_friction"] == "load"
 
 
 @pytest.mark.parametrize("angle", [3.0, -2.0])

@@ -151,7 +151,7 @@ def test_circles_and_motors_of_followers_are_refused() -> None:
     links: tuple[Link, ...] = robot.tree.links
     names = [joint.name for joint in arm]
     level, lift = names.index("level"), names.index("a3")
-    arm[level] = replace(arm[level], mimic=Mimic("a3"))
+    arm[level] = replace(arm[level], mimic=Mimic({"a3": 1.0}))
     T = np.eye(len(arm))
     T[lift, level] = 0.5
     with pytest.raises(DescriptionError, match="follows another and has no motor"):
@@ -160,6 +160,6 @@ def test_circles_and_motors_of_followers_are_refused() -> None:
     coupled = RobotModel("coupled", tuple(arm), links, motor_coupling=T)
     assert coupled.motor_coupling is not None
     assert coupled.motor_coupling.shape == (7, 7)
-    arm[lift] = replace(arm[lift], mimic=Mimic("level"))
+    arm[lift] = replace(arm[lift], mimic=Mimic({"level": 1.0}))
     with pytest.raises(DescriptionError, match="mimics itself"):
         RobotModel("circle", tuple(arm), links)

@@ -23,6 +23,7 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.workflow.options import PayloadOptions
+from asbuilt.writers.files import path_texts
 
 
 def payload(
@@ -37,6 +38,16 @@ def payload(
         ),
     ] = None,
     validate: Judges = None,
+    moments: Annotated[
+        bool,
+        typer.Option(
+            "--moments",
+            help=(
+                "a weight on any link (--frame): the change of first moments, with the mass if"
+                " the motion determines it"
+            ),
+        ),
+    ] = False,
     gain_uncertainty: Annotated[
         str | None,
         typer.Option(
@@ -62,8 +73,13 @@ def payload(
         recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
     )
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
-    from asbuilt.workflow.calibration.payload_study import identify_payload
-    from asbuilt.writers.tables.payload_tables import payload_document, payload_text
+    from asbuilt.workflow.calibration.payload_study import identify_moments, identify_payload
+    from asbuilt.writers.tables.payload_tables import (
+        moments_document,
+        moments_table,
+        payload_document,
+        payload_text,
+    )
     from asbuilt.writers.tables.tabular import write_json
 
     options = replace(
@@ -71,6 +87,19 @@ def payload(
         chain=filtering.chain(),
         gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
     )
+    if moments:
+        with progress_bar() as report:
+            weight = identify_moments(
+                identified, loaded, unloaded=bare, options=options, progress=report
+            )
+        document = moments_document(weight)
+        written = {} if out is None else {"moments": write_json(out / "moments.json", document)}
+        answer(
+            as_json,
+            lambda: document | {"files": path_texts(written)},
+            lambda: moments_table(weight).as_text(full) + listed_files(written),
+        )
+        return
     with progress_bar() as report:
         found = identify_payload(
             identified,

@@ -48,6 +48,7 @@ def model_document(model: RobotModel) -> dict[str, Any]:
             [list(known.links), known.lower, known.upper if np.isfinite(known.upper) else None]
             for known in model.mass_ranges
         ],
+        "usual_drive": model.usual_drive,
         "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
         "joints": [_joint_document(joint) for joint in model.joints],
         "followers": [_joint_document(joint) for joint in model.followers],
@@ -98,6 +99,7 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
                 )
                 for links, lower, upper in document.get("mass_ranges", ())
             ),
+            usual_drive=str(document.get("usual_drive", "")),
             source=str(document["source"]),
             citation=str(document["citation"]),
             notes=tuple(str(note) for note in document["notes"]),
@@ -155,8 +157,16 @@ def _joint(document: Mapping[str, Any]) -> Joint:
         drive=DriveValues(**drive, terms=terms),
         before_symbols=_symbols(document["before_symbols"]),
         after_symbols=_symbols(document["after_symbols"]),
-        mimic=None if document.get("mimic") is None else Mimic(**document["mimic"]),
+        mimic=_mimic(document.get("mimic")),
     )
+
+
+def _mimic(document: Mapping[str, Any] | None) -> Mimic | None:
+    if document is None:
+        return None
+    if "multiplier" in document:  # written before joints could follow several others
+        return Mimic({document["joint"]: document["multiplier"]}, document["offset"])
+    return Mimic(**document)
 
 
 def _link_document(link: Link) -> dict[str, Any]:
@@ -164,6 +174,7 @@ def _link_document(link: Link) -> dict[str, Any]:
         "name": link.name,
         "inertia": link.inertia.parameters.tolist(),
         "inertia_known": link.inertia_known,
+        "negligible": link.negligible,
         "parts": [[name, inertia.parameters.tolist()] for name, inertia in link.parts],
     }
 
@@ -173,6 +184,7 @@ def _link(document: Mapping[str, Any]) -> Link:
         name=str(document["name"]),
         inertia=LinkInertia(_array(document["inertia"])),
         inertia_known=bool(document["inertia_known"]),
+        negligible=bool(document.get("negligible", False)),
         parts=tuple(
             (str(name), LinkInertia(_array(parameters))) for name, parameters in document["parts"]
         ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +14,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
+from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import described_text, outermost_tag, parsed_xml
 from asbuilt.description.inertia import LinkInertia
@@ -25,7 +26,6 @@ from asbuilt.description.model import (
     JointKind,
     JointLimits,
     Link,
-    Mimic,
     RobotModel,
 )
 from asbuilt.description.rotation import (
@@ -111,7 +111,7 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
             f"the springs of {', '.join(sprung)} (stiffness) are left out; identify them with the"
             " drive terms auto,spring:joints=..."
         )
-    left_out = tree.add_mimics()
+    joints, left_out = coupled_by_equalities(mujoco, compiled, tree.joints)
     if left_out:
         tree.notes.append(
             f"{left_out} equality constraints are left out; every joint counts as driven on its own"
@@ -119,7 +119,7 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
     return RobotModel(
         drives_by_design=False,
         name=root.get("model") or "robot",
-        joints=tuple(tree.joints),
+        joints=tuple(joints),
         links=tuple(tree.link(i) for i in range(len(tree.joints))),
         gravity=np.array(compiled.opt.gravity),
         root_link="world",
@@ -413,39 +413,6 @@ class _Tree:
                         name=name, link=self.carrier[body], placement=composed(self.pose[body], own)
                     )
                 )
-
-    def add_mimics(self) -> int:
-        """Make joints mimic those that an equality couples them to linearly; return the rest."""
-        m, taken = self.model, 0
-        for k in range(m.neq):
-            one, other = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
-            coefficients = m.eq_data[k, :5]
-            if (
-                m.eq_type[k] != self.mujoco.mjtEq.mjEQ_JOINT
-                or not m.eq_active0[k]
-                or other < 0
-                or np.any(coefficients[2:])
-                or self.joints[one].mimic is not None
-                or self.joints[one].name in self._chain(other)
-            ):
-                continue
-            zero, master = (float(m.qpos0[m.jnt_qposadr[j]]) for j in (one, other))
-            offset, multiplier = (float(value) for value in coefficients[:2])
-            name = self.joints[other].name
-            followed = Mimic(name, multiplier, zero + offset - multiplier * master)
-            self.joints[one] = replace(self.joints[one], mimic=followed)
-            taken += 1
-        return int(m.neq) - taken
-
-    def _chain(self, index: int) -> list[str]:
-        """Return the names of a joint and of those that it follows."""
-        by_name = {joint.name: joint for joint in self.joints}
-        joint = self.joints[index]
-        names = [joint.name]
-        while joint.mimic is not None:
-            joint = by_name[joint.mimic.joint]
-            names.append(joint.name)
-        return names
 
     def link(self, index: int) -> Link:
         name, parts = self.names[index], self.parts[index]

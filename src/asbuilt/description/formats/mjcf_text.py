@@ -30,8 +30,9 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     The body frame is the link frame: with the joint at `before motion(q) after`, the body stands at
     `before after`, and the joint's axis and anchor in it are `R_after^T z` and `-R_after^T
     p_after`. Armature, viscous and Coulomb friction become armature, damping and frictionloss; an
-    offset has no place in MJCF and is left out. `actuators` adds a torque motor per joint, `shapes`
-    rods and housings that neither weigh nor collide.
+    offset has no place in MJCF and is left out. Joints that follow one other do so by an equality,
+    those that follow several by a fixed tendon of constant length. `actuators` adds a torque motor
+    per joint, `shapes` rods and housings that neither weigh nor collide.
 
     Raises
     ------
@@ -45,6 +46,7 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     >>> read_mjcf(mjcf_text(bundled_robot("ur10e"))).n_joints
     6
     """
+    model = model.with_rotors
     root = Element("mujoco", model=model.name)
     SubElement(
         root,
@@ -70,13 +72,7 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     if shapes:
         for solid in link_solids(model):
             _geom(bodies[solid.link], solid)
-    if model.followers:
-        equality = SubElement(root, "equality")
-        for joint in model.followers:
-            assert joint.mimic is not None
-            follows = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
-            names = {"joint1": joint.name, "joint2": joint.mimic.joint}
-            SubElement(equality, "joint", {**names, "polycoef": _numbers(follows)})
+    _add_couplings(root, model)
     if actuators:
         motors = SubElement(root, "actuator")
         for joint in model.joints:
@@ -85,6 +81,26 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
             SubElement(motors, "motor", {"name": joint.name, "joint": joint.name, **limit})
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
+
+
+def _add_couplings(root: Element, model: RobotModel) -> None:
+    tendons, equality = Element("tendon"), Element("equality")
+    for joint in model.followers:
+        assert joint.mimic is not None
+        factors, offset = joint.mimic.factors, joint.mimic.offset
+        if len(factors) == 1:
+            ((other, factor),) = factors.items()
+            names = {"joint1": joint.name, "joint2": other}
+            follows = [offset, factor, 0.0, 0.0, 0.0]
+            SubElement(equality, "joint", {**names, "polycoef": _numbers(follows)})
+            continue
+        name = f"coupling of {joint.name}"
+        tendon = SubElement(tendons, "fixed", name=name)
+        for other, factor in ((joint.name, 1.0), *((k, -f) for k, f in factors.items())):
+            SubElement(tendon, "joint", joint=other, coef=_numbers([factor]))
+        follows = [offset, 0.0, 0.0, 0.0, 0.0]
+        SubElement(equality, "tendon", tendon1=name, polycoef=_numbers(follows))
+    root.extend(each for each in (tendons, equality) if len(each))
 
 
 def _body(parent: Element, model: RobotModel, k: int) -> Element:

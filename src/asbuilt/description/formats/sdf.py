@@ -195,10 +195,32 @@ def _add_axis(
         written.set("type", "continuous")
     if bounds:
         SubElement(written, "limit", {"effort": "0", "velocity": "0"} | bounds)
+    _add_mimic(written, axis, place)
     dynamics = axis.find("dynamics")
     if dynamics is not None:
         given = {key: _text(dynamics, key, place, "0") for key in ("damping", "friction")}
         SubElement(written, "dynamics", given)
+
+
+def _add_mimic(written: Element, axis: Element, place: str) -> None:
+    """Add a joint that follows, by SDF 1.11 at `multiplier (leader - reference) + offset`."""
+    mimic = axis.find("mimic")
+    if mimic is None:
+        return
+    leader = mimic.get("joint")
+    if not leader:
+        raise DescriptionError(f"{place}: <mimic> names no joint; give joint = the one it follows")
+    multiplier, offset, reference = (
+        finite_number(_text(mimic, key, place, usual), f"{place}: <{key}> of <mimic>")
+        for key, usual in (("multiplier", "1"), ("offset", "0"), ("reference", "0"))
+    )
+    SubElement(
+        written,
+        "mimic",
+        joint=leader,
+        multiplier=repr(multiplier),
+        offset=repr(offset - multiplier * reference),
+    )
 
 
 def _finite_or_none(text: str | None, what: str) -> float | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.dh import DHRow, dh_joint, dh_lengths, joint_on_origin
-from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat, format_of
 from asbuilt.description.formats.toml_tables import (
     DHTable,
     LinkTable,
@@ -21,10 +21,12 @@ from asbuilt.description.formats.toml_tables import (
     RobotFile,
     checked_file,
 )
+from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values, parsed_length, rotated_symbols
 from asbuilt.description.model import (
     ROOT,
+    DriveValues,
     Frame,
     Joint,
     JointLimits,
@@ -41,8 +43,9 @@ from asbuilt.description.rotation import (
     snapped,
     straightened,
 )
+from asbuilt.description.structure.motors import coupled_joints
 from asbuilt.errors import AsbuiltError, DescriptionError
-from asbuilt.untrusted import parsed_toml, read_text, reason
+from asbuilt.untrusted import parsed_toml, read_bytes, read_text, reason
 
 
 def read_robot_toml(path: str | Path) -> RobotModel:
@@ -52,11 +55,15 @@ def read_robot_toml(path: str | Path) -> RobotModel:
     """
     path = Path(path)
     text = read_text(path, "description", DescriptionError)
-    return robot_from_toml(text, source=str(path))
+    return robot_from_toml(text, source=str(path), folder=path.parent)
 
 
-def robot_from_toml(text: str, *, source: str = "TOML text") -> RobotModel:
+def robot_from_toml(
+    text: str, *, source: str = "TOML text", folder: Path | None = None
+) -> RobotModel:
     """Read a robot from the text of a TOML file; `source` names it in errors and in the model.
+
+    `folder` is where a description is that the file extends.
 
     Raises `DescriptionError` as `read_robot_toml`.
     """
@@ -66,7 +73,7 @@ def robot_from_toml(text: str, *, source: str = "TOML text") -> RobotModel:
         raise DescriptionError(f"{source}: this is not valid TOML: {reason(error)}") from None
     file = checked_file(content, source)
     try:
-        return _model(file, source)
+        return _extended(file, source, folder) if file.extends else _model(file, source)
     except AsbuiltError as error:
         raise DescriptionError(f"{source}: {error}") from None
 
@@ -206,7 +213,7 @@ def _model(file: RobotFile, source: str) -> RobotModel:
         list(file.notes),
     )
     names = [link.name for link in file.links]
-    joints = []
+    joints: list[Joint] = []
     for i, link in enumerate(file.links):
         parent = (
             i - 1
@@ -227,9 +234,10 @@ def _model(file: RobotFile, source: str) -> RobotModel:
                 placement=reading.placed(frame, f"frame {frame.name!r}", carrier)[0],
             )
         )
+    coupled = coupled_joints(joints, _motors(file), _moved(file))
     return RobotModel(
         name=file.name,
-        joints=tuple(joints),
+        joints=coupled,
         links=tuple(_link(link) for link in file.links),
         gravity=np.array(file.gravity),
         root_link=file.root_link,
@@ -239,8 +247,69 @@ def _model(file: RobotFile, source: str) -> RobotModel:
         source=source,
         citation=file.citation,
         notes=tuple(reading.notes),
-        motor_coupling=_motor_coupling(file, [joint.name for joint in joints]),
+        motor_coupling=_motor_coupling(file, [joint.name for joint in coupled]),
+        usual_drive=file.usual_drive,
     )
+
+
+def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
+    """Return the robot of another description with what a file says beside it."""
+    path = (folder or Path()) / file.extends
+    if not path.is_file():
+        raise DescriptionError(f"extends names {path}, where there is no file")
+    found = format_of(path, read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION))
+    if found is None:
+        raise DescriptionError(f"extends names {path}, which is no description in a known format")
+    model = found.read(path)
+    every, links, frames = model.in_tree_order()
+    joints = coupled_joints(every, _motors(file), _moved(file))
+    said = {
+        name: getattr(file, name)
+        for name in ("name", "citation", "usual_drive")
+        if getattr(file, name)
+    }
+    if "gravity" in file.model_fields_set:
+        said["gravity"] = np.array(file.gravity)
+    return replace(
+        model,
+        **said,
+        joints=joints,
+        followers=(),
+        links=links,
+        frames=frames,
+        motor_coupling=_motor_coupling(file, [joint.name for joint in joints]),
+        notes=(*model.notes, *file.notes),
+        source=source,
+    )
+
+
+def _motors(file: RobotFile) -> dict[str, tuple[JointLimits, DriveValues]]:
+    """Return limits and drive of the motors that are no joints."""
+    found = dict[str, tuple[JointLimits, DriveValues]]()
+    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
+    for motor in file.motors:
+        if motor.name in found:
+            raise DescriptionError(f"motor {motor.name!r} is given twice")
+        given = {name: value * scale for name, value in motor.limits.model_dump().items()}
+        limits = JointLimits(**given | {"torque": motor.limits.torque})
+        found[motor.name] = limits, motor.drive.values
+    return found
+
+
+def _moved(file: RobotFile) -> dict[str, Mimic]:
+    """Return what moves the joints that couplings name."""
+    found = dict[str, Mimic]()
+    for table in file.couplings:
+        if table.joint is None:
+            continue
+        name, factors = table.joint
+        if name in found:
+            raise DescriptionError(
+                f"two couplings say where joint {name!r} stands: {found[name]}, and"
+                f" {Mimic(factors, table.offset)}; keep one"
+            )
+        found[name] = Mimic(factors, table.offset)
+    return found
 
 
 def _mimic(link: LinkTable, file: RobotFile) -> Mimic:
@@ -251,14 +320,16 @@ def _mimic(link: LinkTable, file: RobotFile) -> Mimic:
             f"mimic of link {link.name!r} names joint {link.mimic.joint!r}, which does not exist;"
             f" the joints are {', '.join(names)}"
         )
-    return Mimic(**link.mimic.model_dump())
+    return Mimic({link.mimic.joint: link.mimic.multiplier}, link.mimic.offset)
 
 
 def _motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
-    if not file.couplings:
+    drives = [table for table in file.couplings if table.motor is not None]
+    if not drives:
         return None
     coupling = np.eye(len(names))
-    for table in file.couplings:
+    for table in drives:
+        assert table.motor is not None
         for name in (table.motor, *table.turns):
             if name not in names:
                 raise DescriptionError(
@@ -276,7 +347,10 @@ def _link(link: LinkTable) -> Link:
         return Link(name=link.name, inertia=total, parts=parts)
     inertia = link.inertia
     return Link(
-        name=link.name, inertia=inertia or LinkInertia.zero(), inertia_known=inertia is not None
+        name=link.name,
+        inertia=inertia or LinkInertia.zero(),
+        inertia_known=inertia is not None or link.negligible,
+        negligible=link.negligible,
     )
 
 

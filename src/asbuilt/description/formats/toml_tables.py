@@ -265,6 +265,7 @@ class LinkTable(MassTable):
     limits: LimitsTable = LimitsTable()
     drive: DriveTable = DriveTable()
     mimic: MimicTable | None = None
+    negligible: bool = False
 
     @model_validator(mode="after")
     def _one_geometry(self) -> LinkTable:
@@ -289,20 +290,70 @@ class FrameTable(PlacementTable):
     link: str
 
 
-class CouplingTable(_Table):
-    """A motor, named by its joint, that turns with several joints.
+class MotorTable(_Table):
+    """A motor that is no joint: a coordinate of the robot, with a column in a log."""
 
-    `turns` gives its share of each, e.g. `{joint_5 = 1.0, joint_6 = 1.0}`.
+    name: str
+    limits: LimitsTable = LimitsTable()
+    drive: DriveTable = DriveTable()
+
+
+class CouplingTable(_Table):
+    """How motors and joints turn together; one of two forms.
+
+    `wrist = {motor_5 = 1.0, motor_6 = -0.8}` with `offset` says where a joint stands for positions
+    of motors or of other joints. `motor` with `turns` says with which joints (or motors) the far
+    side of a drive turns, which has friction and armature of its own.
     """
 
-    motor: str
-    turns: dict[str, Finite] = Field(min_length=1)
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    motor: str | None = None
+    turns: dict[str, Finite] = {}
+    offset: Finite = 0.0
+
+    @model_validator(mode="after")
+    def _one_form(self) -> CouplingTable:
+        joints = self.__pydantic_extra__ or {}
+        if self.motor is not None and not joints:
+            if not self.turns:
+                raise ValueError("turns is missing: the share of each joint the motor turns with")
+            return self
+        if self.motor is not None or self.turns or len(joints) != 1:
+            raise ValueError(
+                "give one joint and what moves it, such as wrist = {motor_5 = 1.0}, or motor and"
+                f" turns; got {', '.join((*self.model_fields_set,)) or 'nothing'}"
+            )
+        name, factors = next(iter(joints.items()))
+        if (
+            not isinstance(factors, dict)
+            or not factors
+            or any(
+                isinstance(each, bool)
+                or not isinstance(each, int | float)
+                or not abs(each) <= LARGEST
+                for each in factors.values()
+            )
+        ):
+            raise ValueError(
+                f"{name} must be a table of motors or joints with finite factors, such as"
+                f" {name} = {{motor_5 = 1.0}}; got {factors!r}"
+            )
+        return self
+
+    @property
+    def joint(self) -> tuple[str, dict[str, float]] | None:
+        """The joint and the factors of what moves it, None for the far side of a drive."""
+        for name, factors in (self.__pydantic_extra__ or {}).items():
+            return name, {source: float(factor) for source, factor in factors.items()}
+        return None
 
 
 class RobotFile(_Table):
-    """The whole file."""
+    """The whole file; with `extends`, what it says beside another description."""
 
-    name: str
+    name: str = ""
+    extends: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
     gravity: Vector = USUAL_GRAVITY
@@ -311,18 +362,35 @@ class RobotFile(_Table):
     angle_unit: AngleUnit = "rad"
     lengths: dict[str, Finite] = {}
     drives_by_design: bool = True
-    links: tuple[LinkTable, ...] = Field(min_length=1)
+    usual_drive: str = ""
+    links: tuple[LinkTable, ...] = ()
     frames: tuple[FrameTable, ...] = ()
+    motors: tuple[MotorTable, ...] = ()
     couplings: tuple[CouplingTable, ...] = ()
 
     @model_validator(mode="after")
     def _convention_stated(self) -> RobotFile:
+        if self.extends and (own := self.model_fields_set & BESIDE_OTHERS):
+            raise ValueError(
+                f"{', '.join(sorted(own))} cannot be said again of a robot that the file extends;"
+                f" leave them to {self.extends}"
+            )
+        if not self.extends and (missing := {"name", "links"} - self.model_fields_set):
+            raise ValueError(f"{' and '.join(sorted(missing))}: is missing; or give extends")
+        if not self.extends and not self.links:
+            raise ValueError("links: Tuple should have at least 1 item, a robot needs a link")
         if self.convention is None and any(link.dh is not None for link in self.links):
             raise ValueError(
                 'the file has dh rows but does not say which: add convention = "standard" or'
                 ' convention = "modified"'
             )
         return self
+
+
+BESIDE_OTHERS = frozenset(
+    ("links", "frames", "lengths", "convention", "angle_unit", "root_link", "drives_by_design")
+)
+"""Fields of a file that describes all of a robot, not of one that extends another."""
 
 
 def checked_file(content: dict[str, Any], source: str) -> RobotFile:

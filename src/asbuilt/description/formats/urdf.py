@@ -342,11 +342,9 @@ def _mimic(connection: _Connection) -> Mimic | None:
     element, place = connection.element.find("mimic"), connection.place
     if element is None:
         return None
-    return Mimic(
-        required(element, "joint", f"{place}, mimic"),
-        number(element, "multiplier", place, 1.0),
-        number(element, "offset", place, 0.0),
-    )
+    source = required(element, "joint", f"{place}, mimic")
+    multiplier = number(element, "multiplier", place, 1.0)
+    return Mimic({source: multiplier}, number(element, "offset", place, 0.0))
 
 
 def _check_mimics(
@@ -359,10 +357,10 @@ def _check_mimics(
         if joint.mimic is None:
             continue
         place = f"{source}, joint {joint.name!r}"
-        master, seen = joint.mimic.joint, {joint.name}
+        (master,), seen = joint.mimic.factors, {joint.name}
         while master in moving and moving[master].mimic is not None and master not in seen:
             seen.add(master)
-            master = moving[master].mimic.joint  # type: ignore[union-attr]
+            (master,) = moving[master].mimic.factors  # type: ignore[union-attr]
         if master in seen:
             raise DescriptionError(f"{place}: the joint mimics itself; name the joint it follows")
         if master not in moving and master not in fixed:
@@ -370,7 +368,7 @@ def _check_mimics(
                 f"{place}: the joint mimics {master!r}, which does not exist"
                 f"{close_match(master, moving)}"
             )
-        if joint.mimic.joint in fixed:
+        if not joint.mimic.factors.keys().isdisjoint(fixed):
             joints[k] = replace(joint, mimic=None)
             notes.append(f"{place}: the joint mimics a fixed joint; <mimic> is left out")
 

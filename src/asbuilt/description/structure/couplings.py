@@ -1,13 +1,14 @@
-"""Joints that follow others: how all links move with the joints that have a drive.
+"""Linear couplings: how the joints of all links move with the coordinates of a robot.
 
-A follower has a link of its own and no drive: its position is `multiplier * position + offset` of
-the joint that it follows. With the positions q of the driven joints, those of the joints of all
-links are `E q + o`, so that by virtual work a torque at them acts on the driven joints by `E^T`.
+The coordinates q are what a log has a column of: motors, or joints that have a motor. The joints of
+all links, the coordinates of the tree of bodies, are at `A q + b`, so that by virtual work torques
+at them act on the coordinates by `A^T`. A joint that follows others (parallelograms, mimic joints)
+has no coordinate; one that several motors turn (wrists) has one beside others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,12 +27,12 @@ from asbuilt.errors import DescriptionError
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """Say how the joints of all links move with those that have a drive.
+    """Say how the joints of all links move with the coordinates.
 
     The tree is the robot with a drive at every joint, its links in an order in which parents come
     first: link i of the tree is link `order[i]` of the robot (n_links,). The joints of the tree are
-    at `matrix @ q + offset` for positions q of the driven joints, matrix (n_links, n_joints),
-    offset (n_links,) in rad or m.
+    at `matrix @ q + offset` for coordinates q, matrix (n_links, n_joints), offset (n_links,) in rad
+    or m.
     """
 
     order: Indices
@@ -47,19 +48,24 @@ class Coupling:
         return np.ascontiguousarray(qd @ self.matrix.T)
 
     def torques(self, tau: Array) -> Array:
-        """Return torques (..., n_joints) of the driven joints for those at the joints of the tree.
+        """Return torques (..., n_joints) of the coordinates for those at the joints of the tree.
 
         Also the derivatives by their positions for those by the positions of the tree.
         """
         return np.ascontiguousarray(tau @ self.matrix)
 
     def matrices(self, of_tree: Array) -> Array:
-        """Return `E^T A E` (..., n_joints, n_joints) for A (..., n_links, n_links) of the tree."""
+        """Return `A^T M A` (..., n_joints, n_joints) for M (..., n_links, n_links) of the tree."""
         return np.ascontiguousarray(self.matrix.T @ of_tree @ self.matrix)
 
     def parameters(self, chi: Array) -> Array:
         """Return inertial parameters (..., n_links, 10) in the order of the tree."""
         return np.ascontiguousarray(chi[..., self.order, :])
+
+    @property
+    def of_links(self) -> Array:
+        """The rows of `matrix` in the order of the robot's links, (n_links, n_joints)."""
+        return self.matrix[np.argsort(self.order)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +90,13 @@ def separated(
     """Set the joints that follow others apart, with their links behind those of the driven joints.
 
     `driven` are the places among `joints` of those that stay. Armature and friction of a follower
-    count to the joint that it follows, reflected by the multiplier, and its limits narrow that
-    joint's. Raises `DescriptionError` for a joint that follows none of the robot, or itself.
+    of one joint count to that joint, reflected by the factor, and its limits narrow that joint's;
+    those of a follower of several are left out. Raises `DescriptionError` for a joint that follows
+    none of the robot, or itself.
     """
     tree_order(robot, joints, len(joints))
-    driven = [k for k, joint in enumerate(joints) if joint.mimic is None]
-    moved = [k for k, joint in enumerate(joints) if joint.mimic is not None]
+    driven = [k for k, joint in enumerate(joints) if joint.has_motor]
+    moved = [k for k, joint in enumerate(joints) if not joint.has_motor]
     order = [*driven, *moved, *range(len(joints), len(links))]
     place = {was: now for now, was in enumerate(order)} | {ROOT: ROOT}
     every = [*joints, *followers]
@@ -97,18 +104,20 @@ def separated(
     active = {joint.name: joint for joint in ordered[: len(driven)]}
     behind = ordered[len(driven) :]
     notes: list[str] = []
-    for k, joint in enumerate(behind):
-        assert joint.mimic is not None
-        master, multiplier, offset = followed(robot, joint, ordered)
-        if k >= len(moved):
-            continue
-        place_said = f"{offset:+.6g}" if offset else ""
+    for k, joint in enumerate(behind[: len(moved)]):
+        factors, offset = moved_by(robot, joint, ordered)
         notes.append(
-            f"joint {joint.name!r} follows {master!r} (position x {multiplier:.6g}{place_said}); it"
-            " has no drive and needs no column in a log"
+            f"joint {joint.name!r} follows {_sum_text(factors, offset)}; it has no drive and needs"
+            " no column in a log"
         )
-        active[master], said = _driving(active[master], joint, multiplier, offset)
-        notes += said
+        if len(factors) == 1:
+            master, multiplier = next(iter(factors.items()))
+            active[master], said = _driving(active[master], joint, multiplier, offset)
+            notes += said
+        elif joint.drive != DriveValues() or joint.limits != JointLimits():
+            notes.append(
+                f"drive and limits of joint {joint.name!r}, which several others move, are left out"
+            )
         behind[k] = replace(joint, drive=DriveValues())
     return Separated(
         joints=tuple(active.values()),
@@ -120,28 +129,51 @@ def separated(
     )
 
 
-def followed(robot: str, joint: Joint, joints: Sequence[Joint]) -> tuple[str, float, float]:
-    """Return the driven joint that a joint follows in the end, the multiplier and the offset.
+def _sum_text(factors: Mapping[str, float], offset: float) -> str:
+    """Return `'elbow' (position x -1 +0.1)`, or a sum of such terms."""
+    said = f"{offset:+.6g}" if offset else ""
+    if len(factors) == 1:
+        name, factor = next(iter(factors.items()))
+        return f"{name!r} (position x {factor:.6g}{said})"
+    return " ".join(f"{factor:+.6g} {name!r}" for name, factor in factors.items()) + (
+        f" {said}" if said else ""
+    )
 
-    Raises `DescriptionError` where there is none.
+
+def moved_by(
+    robot: str, joint: Joint, joints: Sequence[Joint], seen: tuple[str, ...] = ()
+) -> tuple[dict[str, float], float]:
+    """Return the factors by coordinate that move a joint in the end, and the offset.
+
+    Raises `DescriptionError` where a source does not exist, or joints follow each other in a ring.
     """
-    by_name = {each.name: each for each in joints}
-    multiplier, offset, seen = 1.0, 0.0, [joint.name]
-    while joint.mimic is not None:
-        offset += multiplier * joint.mimic.offset
-        multiplier *= joint.mimic.multiplier
-        if joint.mimic.joint not in by_name:
+    if joint.mimic is None:
+        return {joint.name: 1.0}, 0.0
+    if joint.name_in_tree in seen:
+        ring = " -> ".join(repr(name) for name in (*seen, joint.name_in_tree))
+        raise DescriptionError(
+            f"{robot}: joint {seen[0]!r} mimics itself{f' ({ring})' if len(seen) > 1 else ''}; name"
+            " the joint it follows"
+        )
+    coordinates = {each.name for each in joints if each.has_motor}
+    others = {each.name_in_tree: each for each in joints}
+    found, offset = dict[str, float](), joint.mimic.offset
+    for name, factor in joint.mimic.factors.items():
+        if name in coordinates:
+            part, more = {name: 1.0}, 0.0
+        elif name in others:
+            part, more = moved_by(robot, others[name], joints, (*seen, joint.name_in_tree))
+        else:
             raise DescriptionError(
-                f"{robot}: joint {joint.name!r} mimics {joint.mimic.joint!r}, which does not exist;"
-                f" the joints are {', '.join(by_name)}"
+                f"{robot}: joint {joint.name_in_tree!r} mimics {name!r}, which does not exist;"
+                f" the joints are {', '.join(dict.fromkeys((*others, *sorted(coordinates))))}",
+                value=name,
+                available=[*others],
             )
-        joint = by_name[joint.mimic.joint]
-        if joint.name in seen:
-            raise DescriptionError(
-                f"{robot}: joint {seen[0]!r} mimics itself; name the joint it follows"
-            )
-        seen.append(joint.name)
-    return joint.name, multiplier, offset
+        offset += factor * more
+        for source, share in part.items():
+            found[source] = found.get(source, 0.0) + factor * share
+    return found, offset
 
 
 def tree_order(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
@@ -172,13 +204,24 @@ def tree_order(robot: str, joints: Sequence[Joint], n_driven: int) -> list[int]:
 
 
 def coupling_of(robot: str, joints: Sequence[Joint], followers: Sequence[Joint]) -> Coupling:
-    """Return how the links of a robot move with its driven joints."""
+    """Return how the links of a robot move with its coordinates.
+
+    Raises `DescriptionError` where some motion of the coordinates moves no link.
+    """
     every, names = (*joints, *followers), [joint.name for joint in joints]
     order = np.array(tree_order(robot, every, len(joints)), dtype=np.int64)
     matrix, offset = np.zeros((len(every), len(joints))), np.zeros(len(every))
     for i, link in enumerate(order.tolist()):
-        master, multiplier, offset[i] = followed(robot, every[link], every)
-        matrix[i, names.index(master)] = multiplier
+        factors, offset[i] = moved_by(robot, every[link], every)
+        for name, factor in factors.items():
+            matrix[i, names.index(name)] = factor
+    if np.linalg.matrix_rank(matrix) < len(joints):
+        still = np.linalg.svd(matrix)[2][-1]
+        held = sorted(name for name, share in zip(names, still, strict=True) if abs(share) > 1e-6)
+        raise DescriptionError(
+            f"{robot}: the couplings are contradictory: some motion of {', '.join(held)} moves no"
+            " link; every motor must move a joint in a way of its own"
+        )
     for array in (order, matrix, offset):
         array.setflags(write=False)
     return Coupling(order, matrix, offset)

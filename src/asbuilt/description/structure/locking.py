@@ -102,12 +102,12 @@ def held_followers(
 
     `before` are those known already, `values` the joints that are locked now.
     """
-    found = dict(before) | {
-        joint.name: joint.mimic.joint
-        for joint in present
-        if joint.name in values and joint.mimic is not None
-    }
     moving = {joint.name for joint in present} - values.keys()
+    found = dict(before) | {
+        joint.name: next((of for of in joint.mimic.factors if of in moving), "")
+        for joint in present
+        if joint.name in values and joint.mimic is not None and not joint.has_motor
+    }
     return {name: of for name, of in found.items() if of in moving}
 
 
@@ -116,23 +116,26 @@ def assumed_carriers(
     before: Sequence[str],
     joints: Mapping[str, float | None] | Iterable[str],
     values: Mapping[str, float],
+    places: Mapping[str, float],
 ) -> tuple[str, ...]:
-    """Return the locked joints that carry one which moves, and whose position nobody gave.
+    """Return the locked joints on which the pose of a moving one depends, and that nobody gave.
 
-    `before` are those known already, `joints` the ones asked for, `values` those locked now. The
-    weight of all that a joint carries turns with its position: at 0 it is a guess.
+    They carry it, or move it beside others. `before` are those known already, `joints` the ones
+    asked for, `values` those locked now, `places` where joints stand that are held. The weight of
+    all that a joint carries turns with its position: at 0 it is a guess.
     """
     given = joints if isinstance(joints, Mapping) else {}
     carry: set[str] = set()
-    for joint in present:
-        parent = ROOT if joint.name in values else joint.parent
-        while parent != ROOT:
-            carry.add(present[parent].name)
-            parent = present[parent].parent
+    for i, joint in enumerate(present):
+        above = ROOT if joint.name in places else i
+        while above != ROOT:
+            moved = present[above].mimic
+            carry |= {present[above].name, *(moved.factors if moved is not None else ())}
+            above = present[above].parent
     guessed = [
         joint.name
         for joint in present
-        if joint.name in values and given.get(joint.name) is None and joint.mimic is None
+        if joint.name in values and given.get(joint.name) is None and joint.has_motor
     ]
     return (*before, *(name for name in guessed if name in carry))
 
@@ -192,8 +195,12 @@ def locked_positions(
     present: Sequence[Joint],
     locked: Mapping[str, float],
     joints: Mapping[str, float | None] | Iterable[str],
-) -> dict[str, float]:
-    """Return the position of every joint to lock, those that mimic a locked one included."""
+) -> tuple[dict[str, float], tuple[Joint, ...], dict[str, float]]:
+    """Return the positions of all that is locked, the joints then, and where those held stand.
+
+    A joint is held if what moves it is locked, all of it; a joint of which a part is locked follows
+    the rest.
+    """
     asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     by_name = {joint.name: joint for joint in present}
     unknown = [name for name in asked if name not in by_name and name not in locked]
@@ -210,29 +217,82 @@ def locked_positions(
         there = locked.get(name)
         if name not in by_name and value is not None and there is not None and value != there:
             raise DescriptionError(f"joint {name!r} is locked at {there:g} already, not at {value}")
-    found: dict[str, float] = {}
-
-    def position(name: str) -> float:
-        """Return where a joint stands, of a mimic joint by what it follows."""
-        if name in locked:
-            return locked[name]
-        if name not in found:
-            joint, value = by_name[name], asked.get(name)
-            found[name] = usual_position(joint.limits)
-            if value is not None:
-                found[name] = float(value)
-            elif joint.mimic is not None:
-                master = joint.mimic
-                found[name] = master.multiplier * position(master.joint) + master.offset
-        return found[name]
-
-    held = {name for name in asked if name in by_name}
-    followers = {joint.name: joint.mimic.joint for joint in present if joint.mimic is not None}
-    while more := {name for name, of in followers.items() if of in held} - held:
-        held |= more
-    if held == by_name.keys():
+    lock = _Lock(by_name, locked, asked)
+    values = {name: lock.value(name) for name in by_name if name in lock.held}
+    after = tuple(lock.joint(joint) for joint in present)
+    places = {joint.name: lock.place(joint) for joint in after if lock.is_held(joint)}
+    if all(joint.name in values or not joint.has_motor for joint in present):
         raise DescriptionError(f"{robot}: all joints are locked; leave at least one free")
-    return {joint.name: position(joint.name) for joint in present if joint.name in held}
+    return values, after, places
+
+
+class _Lock:
+    """Find what is held where some joints are locked, and where it stands."""
+
+    def __init__(
+        self,
+        by_name: Mapping[str, Joint],
+        locked: Mapping[str, float],
+        asked: Mapping[str, float | None],
+    ) -> None:
+        self._by_name = {joint.name_in_tree: joint for joint in by_name.values()} | dict(by_name)
+        self._locked, self._asked = locked, asked
+        self.held = {name for name in asked if name in by_name}
+        while (
+            more := {
+                joint.name
+                for joint in by_name.values()
+                if joint.mimic is not None
+                and not joint.has_motor
+                and all(self._is_still(name) for name in joint.mimic.factors)
+            }
+            - self.held
+        ):
+            self.held |= more
+
+    def _is_still(self, source: str) -> bool:
+        joint = self._by_name.get(source)
+        if joint is None or source == joint.name:
+            return joint is None or source in self.held
+        return self.is_held(joint)
+
+    def is_held(self, joint: Joint) -> bool:
+        """Whether the joint itself stands still, with all that moves it."""
+        if joint.mimic is None or not joint.has_motor:
+            return joint.name in self.held
+        return all(self._is_still(name) for name in joint.mimic.factors)
+
+    def value(self, name: str) -> float:
+        """Return the position of a coordinate, or of a joint that follows."""
+        if name in self._locked:
+            return self._locked[name]
+        joint, value = self._by_name[name], self._asked.get(name)
+        if name == joint.name and value is not None:
+            return float(value)
+        if joint.mimic is None or (joint.has_motor and name == joint.name):
+            return usual_position(joint.limits)
+        return self.place(joint)
+
+    def place(self, joint: Joint) -> float:
+        """Return the position of a joint itself by those of what moves it."""
+        if joint.mimic is None or (self._asked.get(joint.name) is not None and not joint.has_motor):
+            return self.value(joint.name)
+        moved = (factor * self.value(name) for name, factor in joint.mimic.factors.items())
+        return sum(moved) + joint.mimic.offset
+
+    def joint(self, joint: Joint) -> Joint:
+        """Return a joint with what is locked among its sources in its offset."""
+        if joint.mimic is None or self.is_held(joint):
+            return joint
+        still = [name for name in joint.mimic.factors if self._is_still(name)]
+        if not still:
+            return joint
+        factors = {name: f for name, f in joint.mimic.factors.items() if name not in still}
+        offset = joint.mimic.offset + sum(
+            joint.mimic.factors[name] * self.value(name) for name in still
+        )
+        name = joint.name if joint.name in factors else joint.name_in_tree
+        return replace(joint, name=name, mimic=replace(joint.mimic, factors=factors, offset=offset))
 
 
 def _motion(joint: Joint, value: float) -> Array:

@@ -107,11 +107,21 @@ class DriveValues:
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
-    """Say that a joint follows another: its position is `multiplier * position + offset`."""
+    """Say how others move a joint: its position is `sum_j factors[j] position_j + offset`.
 
-    joint: str
-    multiplier: float = 1.0
+    `factors` are by the names of motors (columns of a log) or of other joints. A joint whose
+    `factors` name itself has a motor of its own, one whose do not follows the others. `joint` is
+    the joint's own name where its motor has another.
+    """
+
+    factors: Mapping[str, float] = field(hash=False)
     offset: float = 0.0
+    joint: str = ""
+
+    def __str__(self) -> str:
+        terms = [f"{factor:+.6g} {name}" for name, factor in self.factors.items()]
+        terms += [f"{self.offset:+.6g}"] if self.offset else []
+        return " ".join(terms).removeprefix("+")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,9 +129,9 @@ class Joint:
     """Connect a parent link to the link of the same index.
 
     The pose of the link in its parent link is `before @ motion(q) @ after`, 4 x 4 matrices [m]; the
-    motion is a rotation about z or a translation along z. `mimic` names a joint that this one
-    follows, None if it has a drive of its own. Raises `DescriptionError` for another kind, and for
-    matrices that are no placements.
+    motion is a rotation about z or a translation along z. `mimic` says how motors and other joints
+    move this one, None if a motor of its own and of its name does, one to one. Raises
+    `DescriptionError` for another kind, and for matrices that are no placements.
     """
 
     name: str
@@ -154,6 +164,16 @@ class Joint:
         return f"Joint({self.name!r}, {self.kind!r}, parent={self.parent})"
 
     @property
+    def has_motor(self) -> bool:
+        """Whether a motor of its own, which has its name, moves it, alone or beside others."""
+        return self.mimic is None or self.name in self.mimic.factors
+
+    @property
+    def name_in_tree(self) -> str:
+        """Name of the joint itself, where that of its motor is another."""
+        return self.name if self.mimic is None else self.mimic.joint or self.name
+
+    @property
     def is_revolute(self) -> bool:
         """Whether the joint turns (also without end) rather than slides."""
         return self.kind != "prismatic"
@@ -165,13 +185,15 @@ class Link:
 
     `inertia` is the sum of its `parts`, which remember bodies merged over fixed joints.
 
-    `inertia_known` is False where the description gave none and zeros stand in.
+    `inertia_known` is False where the description gave none and zeros stand in. A `negligible`
+    link is said to have an inertia too small to matter: none of its parameters is estimated.
     """
 
     name: str
     inertia: LinkInertia
     inertia_known: bool = True
     parts: tuple[tuple[str, LinkInertia], ...] = ()
+    negligible: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -155,8 +155,9 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
 def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
     """Return the base parameters, remembered for the robots used last."""
     names = parameter_names(model, drive)
+    by_numbers = model.coupling is not None or any(link.negligible for link in model.links)
     with one_blas_thread():
-        if model.followers:
+        if by_numbers:
             columns, matrix = numeric_regrouping(model, drive)
             verdicts = numeric_verdicts(columns, matrix, names)
         else:
@@ -167,7 +168,7 @@ def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
         if numeric.rank != len(columns):
             raise IdentifiabilityError(_disagreement(model, drive, len(columns), numeric))
         rows = [{int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)} for row in matrix]
-        symbolic = rows if model.followers else symbolic_regrouping(model, drive, found)
+        symbolic = rows if by_numbers else symbolic_regrouping(model, drive, found)
     return BaseParameters(
         robot=model.name,
         drive=drive,

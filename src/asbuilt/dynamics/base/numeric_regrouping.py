@@ -6,7 +6,12 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.observation_rank import ABSENT_COLUMN, RANK_TOLERANCE, ROWS_PER_COLUMN
+from asbuilt.dynamics.base.observation_rank import (
+    ABSENT_COLUMN,
+    RANK_TOLERANCE,
+    ROWS_PER_COLUMN,
+    negligible_columns,
+)
 from asbuilt.dynamics.base.regrouping import without_noise
 from asbuilt.dynamics.base.regrouping_relations import reversed_echelon
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -29,6 +34,7 @@ def numeric_regrouping(model: RobotModel, drive: DriveSet) -> tuple[Indices, Arr
     q = rng.uniform(-np.pi, np.pi, (samples, n))
     qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
     Y = observation_matrix(model, q, qd, qdd, drive=drive)
+    Y[:, negligible_columns(model)] = 0.0
     sizes = np.linalg.norm(Y, axis=0)
     absent = sizes <= ABSENT_COLUMN * sizes.max()
     scales = np.where(absent, 1.0, sizes)

@@ -68,6 +68,7 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
         _rigid_body_columns(model.tree, *state, of_tree)
         by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, np.argsort(coupling.order)]
         rigid[...] = np.einsum("ik,isc->ksc", coupling.matrix, by_link.reshape(of_tree.shape))
+    rigid[:, :, negligible_columns(model)] = 0.0
     load = (
         np.stack([rows @ rng.uniform(0.5, 1.5, first) for rows in rigid], axis=1)
         if drive.needs_load
@@ -86,6 +87,11 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     singular_values = np.linalg.svd(stacked[:, present] / sizes[present], compute_uv=False)
     singular_values /= singular_values[0]
     return ObservationRank(int(np.sum(singular_values > RANK_TOLERANCE)), singular_values)
+
+
+def negligible_columns(model: RobotModel) -> list[int]:
+    """Return the columns of links that are said to have no inertia worth a parameter."""
+    return [10 * i + j for i, link in enumerate(model.links) if link.negligible for j in range(10)]
 
 
 def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out: Array) -> None:

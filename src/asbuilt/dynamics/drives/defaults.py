@@ -13,9 +13,11 @@ from asbuilt.dynamics.drives.torque import described_drive
 def usual_drive(model: RobotModel, source: str) -> DriveSet:
     """Return the usual drive terms of a robot for a torque of this source.
 
-    These are the default terms, those of coupled motors if the source measures motors, and the
-    springs and balancers of the description.
+    These are those that its description names (`usual_drive`), or the default terms, those of
+    coupled motors if the source measures motors, and the springs and balancers described.
     """
+    if model.usual_drive:
+        return DriveSet.parse(model.usual_drive)
     drive = DriveSet.default(source)
     if source in MOTOR_SOURCES:
         drive = DriveSet((*drive.terms, *coupled_motor_terms(model).terms))
@@ -27,5 +29,9 @@ def usual_drive(model: RobotModel, source: str) -> DriveSet:
 def coupled_motor_terms(model: RobotModel) -> DriveSet:
     """Return armature and friction of the motors that turn with several joints."""
     numbers = tuple(k + 1 for k, shares in enumerate(model.motor_shares) if shares.any())
-    terms = [replace(term, joints=numbers) for term in available_terms().values() if term.of_motor]
+    terms = [
+        replace(term, joints=numbers)
+        for term in available_terms().values()
+        if term.of_motor and not term.by_construction
+    ]
     return DriveSet(tuple(terms)) if numbers else DriveSet()

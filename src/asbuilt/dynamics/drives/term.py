@@ -37,6 +37,8 @@ class NonlinearParameter:
         Unit, empty for a pure number.
     fitted
         Whether it is fitted to a recording unless a value is stated.
+    of_geometry
+        Whether only the design tells it, so that no recording shows a term without its value.
     typical
         A value at which the columns differ clearly from those of other terms at speeds of some
         rad/s, for questions of structure; None where the value itself decides them.
@@ -52,6 +54,7 @@ class NonlinearParameter:
     upper: float
     unit: str
     fitted: bool = True
+    of_geometry: bool = False
     typical: float | None = None
     speed: bool = False
     credible: tuple[float, float] = (0.0, np.inf)
@@ -109,6 +112,8 @@ class DriveTerm:
     """Whether its parameters change sign at a motor that turns against its joint."""
     needs_load: ClassVar[bool] = False
     """Whether a column depends on the rigid-body torque of the joint; follows from `columns`."""
+    by_position: ClassVar[bool] = False
+    """Whether a column depends on the position of the joint; follows from `columns`."""
     of_motor: ClassVar[bool] = False
     """Whether it belongs to a motor that several joints turn, and acts on all of these."""
 
@@ -120,7 +125,7 @@ class DriveTerm:
                 f"the columns of drive term {cls.key!r} use {unknown[0]!r}; they may use"
                 f" {', '.join(sorted(known))}"
             )
-        cls.needs_load = "load" in used
+        cls.needs_load, cls.by_position = "load" in used, "q" in used
         cls.title = cls.title or cls.key.replace("_", " ")
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
@@ -175,6 +180,13 @@ class DriveTerm:
             parameter
             for parameter in self.nonlinear
             if parameter.fitted and getattr(self, parameter.name) is None
+        )
+
+    @property
+    def can_be_found(self) -> bool:
+        """Whether recordings alone can show it: at one joint, by no geometry that is not stated."""
+        return not self.of_motor and not any(
+            each.of_geometry and getattr(self, each.name) is None for each in self.nonlinear
         )
 
     def value(self, name: str) -> float:

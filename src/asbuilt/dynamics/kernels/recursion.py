@@ -118,8 +118,8 @@ def layout_of(model: RobotModel) -> Layout:
 
     Raises `DescriptionError` for a robot with joints that follow others: its `tree` has a layout.
     """
-    if model.followers:
-        names = ", ".join(joint.name for joint in model.followers)
+    if model.coupling is not None:
+        names = ", ".join(j.name_in_tree for j in model.moving_joints if j.mimic is not None)
         raise DescriptionError(
             f"{model.name}: joints that follow others ({names}) are not supported here; lock the"
             " joints that they follow"

@@ -27,6 +27,7 @@ from asbuilt.dynamics.kernels.recursion import (
     add,
     cross,
     gather_states,
+    into,
     move_link,
     move_screws,
     out_of,
@@ -41,6 +42,8 @@ TERMS = 21
 """Rows that `_link_terms` writes."""
 FORCE = 6
 """Rows of a force and a moment."""
+SCREW = 6
+"""Rows of a screw."""
 
 
 @part
@@ -234,13 +237,20 @@ def regressor(
         # one call, which is inlined and compiled once
         target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
         _regressor_block(codes, chain, placements, n_slots, places, rows, target, stride, first)
-        if by_sample:
-            _write_samples(tile, bounds, columns, block, count, out, width)
-        elif not at_once:
-            for k in range(n):
-                for row in range(bounds[k, 0], bounds[k, 1]):
-                    for sample in range(count):
-                        out[row * width + block + sample] = tile[row * BLOCK + sample]
+        if not at_once:
+            _write_tile(tile, bounds, columns, block, count, out, width)
+
+
+@part
+def _write_tile(tile, bounds, columns, block, count, out, width):
+    """Write the rows of a block to `out`, sample-major if `columns` are given."""
+    if columns.size:
+        _write_samples(tile, bounds, columns, block, count, out, width)
+        return
+    for k in range(bounds.shape[0]):
+        for row in range(bounds[k, 0], bounds[k, 1]):
+            for sample in range(count):
+                out[row * width + block + sample] = tile[row * BLOCK + sample]
 
 
 @part
@@ -261,6 +271,153 @@ def _write_samples(tile, bounds, columns, block, count, out, width):
                 else:
                     out[o + sample * n * width] = tile[row * BLOCK + sample]
             row += LANES if neighbours else 1
+
+
+@part
+def _move_joints(rows, coordinates, angles, matrix, offset):
+    """Write `A q + b`, `A qd` and `A qdd` of a block into the rows of the joints."""
+    n, m = matrix.shape
+    for order in range(3):
+        for i in range(n):
+            row = angles + (order * n + i) * BLOCK
+            for at in range(0, BLOCK, LANES):
+                store(rows, row + at, splat(offset[i] if order == 0 else 0.0))
+            for k in range(m):
+                share, source = matrix[i, k], coordinates + (order * m + k) * BLOCK
+                if share != 0.0:
+                    for at in range(0, BLOCK, LANES):
+                        moved = load(rows, row + at) + load(rows, source + at) * share
+                        store(rows, row + at, moved)
+
+
+@part
+def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, sine):
+    """Carry the screws of the coordinates that move the parent and add the link's own joint's.
+
+    That is `shares[k]` for coordinate k; `above[k]` and `own[k]` say which coordinates move the
+    parent and the link.
+    """
+    before, after, revolute = code[BEFORE], code[AFTER], code[REVOLUTE]
+    for k in range(shares.shape[0]):
+        if not own[k]:
+            continue
+        o, share = (STATE + SCREW * k) * BLOCK, shares[k]
+        for at in range(0, BLOCK, LANES):
+            zx = zy = zz = mx = my = mz = splat(0.0)
+            if above[k]:
+                r = read + o + at
+                zx, zy, zz = vector(rows, r)
+                mx, my, mz = vector(rows, r + 3 * BLOCK)
+                if before != NOTHING:
+                    cx, cy, cz = cross(zx, zy, zz, p[9], p[10], p[11])
+                    mx, my, mz = into(before, p, 0, mx + cx, my + cy, mz + cz)
+                    zx, zy, zz = into(before, p, 0, zx, zy, zz)
+                if revolute:
+                    c, s = load(rows, cosine + at), load(rows, sine + at)
+                    zx, zy = zx * c + zy * s, zy * c - zx * s
+                    mx, my = mx * c + my * s, my * c - mx * s
+                else:
+                    q = load(rows, angle + at)
+                    mx, my = mx + zy * q, my - zx * q
+            if revolute:
+                zz = zz + splat(share)
+            else:
+                mz = mz + splat(share)
+            if after != NOTHING:
+                cx, cy, cz = cross(zx, zy, zz, p[21], p[22], p[23])
+                mx, my, mz = into(after, p, 12, mx + cx, my + cy, mz + cz)
+                zx, zy, zz = into(after, p, 12, zx, zy, zz)
+            w = write + o + at
+            put(rows, w, zx, zy, zz)
+            put(rows, w + 3 * BLOCK, mx, my, mz)
+
+
+@part
+def _coupled_block(
+    codes, placements, n_slots, matrix, offset, moves, places, rows, out, stride, start
+):
+    """Run down the tree with the block of coordinates in `rows` and write the chosen columns."""
+    n, m = matrix.shape
+    slot = (STATE + SCREW * m) * BLOCK
+    terms = n_slots * slot
+    angles = terms + TERMS * BLOCK
+    cosine = angles + 3 * n * BLOCK
+    sine = cosine + BLOCK
+    _move_joints(rows, sine + BLOCK, angles, matrix, offset)
+    for i in range(n):
+        code, p = codes[i], placements[i]
+        read, write = code[READ] * slot, code[WRITE] * slot
+        angle = angles + i * BLOCK
+        rate, change = angle + n * BLOCK, angle + 2 * n * BLOCK
+        if code[REVOLUTE]:
+            trigonometry(rows, angle, cosine, sine)
+        move_link(code, p, rows, read, write, angle, rate, change, cosine, sine)
+        above, own = moves[code[PARENT] + 1], moves[i + 1]
+        _move_screws(code, p, rows, read, write, above, own, matrix[i], angle, cosine, sine)
+        _link_terms(rows, write, terms)
+        for k in range(m):
+            if own[k]:
+                screw = write + (STATE + SCREW * k) * BLOCK
+                _columns_of_link(rows, screw, terms, places[k, i], out, stride, start)
+
+
+@kernel("i2 i2 f2 f1 i f2 f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i")
+def coupled_rows(
+    codes,
+    chain,
+    placements,
+    gravity,
+    n_slots,
+    matrix,
+    offset,
+    moves,
+    places,
+    bounds,
+    columns,
+    q,
+    qd,
+    qdd,
+    start,
+    stop,
+    out,
+    width,
+):
+    """Write the regressor as `regressor` does for a tree.
+
+    By virtual work `Y = A^T Y_tree`. The screw by which coordinate k moves a link is the sum of
+    those of the joints above it by the shares `A[j, k]`; the recursion carries these sums instead
+    of a screw per joint. The n joints move by `matrix @ q + offset` with the m coordinates;
+    `moves[i + 1, k]` says whether coordinate k moves link i, and `moves[0]` that none moves the
+    root; `chain` is not needed; `places[k, i, c]` is the row of coordinate k and parameter c of
+    link i of the tree, or -1.
+    """
+    n, m = matrix.shape
+    by_sample = columns.size > 0
+    known = n_slots * (STATE + SCREW * m) + TERMS + 3 * n + 2
+    rows = scratch(known + 3 * m)
+    tile = scratch(bounds[m - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
+    rest(rows, gravity)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather_states(q, qd, qdd, block, count, m, rows, known)
+        at_once = count == BLOCK and not by_sample
+        # one call, which is inlined and compiled once
+        target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
+        _coupled_block(
+            codes,
+            placements,
+            n_slots,
+            matrix,
+            offset,
+            moves,
+            places,
+            rows,
+            target,
+            stride,
+            first,
+        )
+        if not at_once:
+            _write_tile(tile, bounds, columns, block, count, out, width)
 
 
 @part

@@ -80,7 +80,7 @@ class CollisionGuard(StateConstraint):
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
         axes, origins = _joint_axes(self._model, q)
-        joints, moved_by = self._model.moving_joints, self._model.link_joints
+        joints = self._model.moving_joints
         shares = self._model.link_shares
         for number, (a, b) in enumerate(self.pairs):
             for body, point, sign in (
@@ -96,9 +96,8 @@ class CollisionGuard(StateConstraint):
                         if joints[k].is_revolute
                         else axes[:, k]
                     )
-                    gradient[:, number, moved_by[k]] += (
-                        sign * shares[k] * np.einsum("si,si->s", normals[:, number], speed)
-                    )
+                    away = sign * np.einsum("si,si->s", normals[:, number], speed)
+                    gradient[:, number] += away[:, None] * shares[k]
         slopes: Array = slope[:, :, None, None] * gradient[..., None]
         return slopes
 
@@ -225,7 +224,7 @@ class ToolBox(StateConstraint):
                 if self._model.moving_joints[k].is_revolute
                 else axes[:, k]
             )
-            gradient[:, :, self._model.link_joints[k]] += shares[k] * speed / self._half
+            gradient += (speed / self._half)[:, :, None] * shares[k]
         return gradient[..., None]
 
     def margin(self, q: Array) -> float:

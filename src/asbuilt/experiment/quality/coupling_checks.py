@@ -40,9 +40,11 @@ SURE = 3.0
 
 def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
-    placed = model.link_positions(recording.q)
+    placed, shares = model.link_positions(recording.q), model.link_shares
     for k, joint in enumerate(model.followers, start=model.n_joints):
-        master = model.joint_names[model.link_joints[k]]
+        master = " and ".join(
+            name for name, share in zip(model.joint_names, shares[k], strict=True) if share
+        )
         logged = recording.extra.get(f"q_{joint.name}")
         if logged is not None:
             q = np.asarray(logged).reshape(-1)

@@ -84,7 +84,7 @@ class Physics:
         extend: Callable[[Any], None] | None = None,
     ) -> None:
         self._mujoco = mujoco_module()
-        self.model = model
+        self.model = model = model.with_rotors
         n = model.n_joints
         bare = replace(
             model,
@@ -139,7 +139,10 @@ class Physics:
         self.data: Any = self._mujoco.MjData(self.compiled)
         with self.quiet():
             self._mujoco.mj_setConst(self.compiled, self.data)
-        coupled = [*range(n, model.n_links), *model.link_joints[n:]]
+        leading = np.flatnonzero(np.any(model.link_shares[n:] != 0.0, axis=0))
+        coupled = [*range(n, model.n_links), *leading]
+        by_tendon = self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_TENDON
+        self.compiled.tendon_invweight0[self.compiled.eq_obj1id[by_tendon]] *= RIGID
         self.compiled.dof_invweight0[self._every[coupled]] *= RIGID
 
     def _take_inertias(self, compiled: RobotModel) -> None:

@@ -24,6 +24,8 @@ It then gets the moments of a body a quarter as wide as its reach.
 """
 SMALLEST_REACH = 0.05
 """Least size of a link [m]."""
+NEGLIGIBLE = 1e-6
+"""Mass [kg] that stands for that of a link said to have none: consistent, and without torque."""
 GUESSED_STRENGTH = 0.1
 """Weight of a link without CAD values; links with CAD values have 1."""
 UNSCALED = 1e-6
@@ -194,6 +196,8 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         if masses[i] > 0:
             mass, com = masses[i], link.inertia.com
             spread = _second_moment(link.inertia.inertia_about_com)
+        elif link.negligible:
+            mass, com, spread = NEGLIGIBLE, points.mean(axis=0), np.zeros((3, 3))
         else:
             mass, com = _neighbouring_mass(model, masses, i), points.mean(axis=0)
             spread = (
@@ -208,12 +212,12 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             corrected = np.maximum(eigenvalues, USUAL_THICKNESS * total)
         else:
             corrected = eigenvalues
-        if masses[i] <= 0:
+        if masses[i] <= 0 and not link.negligible:
             given = f"a mass of {masses[i]:.3g} kg" if masses[i] < 0.0 else "no mass"
             notes.append(
                 f"{link.name} has {given} in CAD; {mass:.3g} kg assumed from its neighbours"
             )
-        elif np.any(corrected != eigenvalues):
+        elif masses[i] > 0 and np.any(corrected != eigenvalues):
             notes.append(
                 f"CAD inertia of {link.name} corrected to be physically consistent"
                 f" ({link.inertia.inconsistency() or 'it has no thickness'})"

@@ -27,12 +27,13 @@ class PayloadRows:
     """Hold triangular factors of weighted rows `[W | P | tau]` of arm, payload and torque.
 
     `blocks` have all joints of a time block, `joints` all blocks of a joint; P is zero for the bare
-    arm.
+    arm. The first `n_loaded` of the blocks are under load.
     """
 
     blocks: list[Array]
     joints: list[Array]
     n_samples: int
+    n_loaded: int
 
     @classmethod
     def of(
@@ -84,7 +85,7 @@ class PayloadRows:
                 np.vstack([rows, _widened(weight * factor, kept)])
                 for rows, weight, factor in zip(joints, weights, _whole(bare), strict=True)
             ]
-        return cls(blocks, joints, under.n_samples)
+        return cls(blocks, joints, under.n_samples, under.n_blocks)
 
 
 def _whole(information: SquareRootInformation) -> list[Array]:

@@ -136,7 +136,7 @@ def stated_drive(
 
 
 def drive_effects(*, by_construction: bool = False) -> tuple[str, ...]:
-    """Return the keys of the effects that are drive terms, with springs and balancers if asked."""
+    """Return the keys of the effects that are drive terms, with those over position if asked."""
     return tuple(
         key
         for key, each in EFFECTS.items()

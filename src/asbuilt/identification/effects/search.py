@@ -13,13 +13,14 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described
+from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.gathering import Candidate, gather_equations
@@ -287,10 +288,11 @@ def _matters(before: float, after: float) -> bool:
 
 def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
     """Return drive terms with those of candidates, in place of the simpler terms they replace."""
-    for key in dict.fromkeys(each.effect.key for each in candidates):
-        own = {each.joint for each in candidates if each.effect.key == key}
-        term = available_terms()[key]
-        had = next((each for each in drive.terms if each.key == key), None)
+    for effect in dict.fromkeys(each.effect for each in candidates):
+        assert isinstance(effect, DriveEffect)
+        own = {each.joint for each in candidates if each.effect is effect}
+        term = effect.term
+        had = next((each for each in drive.terms if each.key == term.key), None)
         joints = own | {k for k in range(n_joints) if had is not None and had.is_at(k)}
         drive = drive.with_term(_at(had or term, joints, n_joints))
         simple = next((each for each in drive.terms if each.key == term.stands_for), None)

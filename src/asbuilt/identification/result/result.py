@@ -57,7 +57,6 @@ SUMMARY = "asbuilt.identification.result.summary"
 
 REBUILT = ("model", "base")
 """Fields that are stored as the robot and its drive terms."""
-BY_POSITION = ("spring", "balancer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -445,7 +444,7 @@ class IdentificationResult:
             If positions are needed and not given.
         """
         drive, rest = self.base.drive, np.zeros(np.shape(qd))
-        if q is None and (drive.needs_load or set(BY_POSITION) & set(drive.keys)):
+        if q is None and (drive.needs_load or any(each.by_position for each in drive.terms)):
             raise UsageError(f"the drive terms {drive} depend on load or position; give q too")
         return self.torque_model.friction(rest if q is None else q, qd, rest)
 

@@ -7,6 +7,10 @@ from dataclasses import replace
 
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.calibration.added_moments import (
+    AddedMoments,
+    identify_added_moments,
+)
 from asbuilt.identification.calibration.payload import (
     Payload,
     identify_payload_samples,
@@ -88,6 +92,34 @@ def identify_payload(
         ],
         gain_uncertainty=options.gain_uncertainty,
     )
+
+
+def identify_moments(
+    result: IdentificationResult | Study,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    *,
+    unloaded: RecordingLike | Sequence[RecordingLike] = (),
+    options: PayloadOptions | None = None,
+    progress: Progress | None = None,
+) -> AddedMoments:
+    """Identify the first moments that a weight on any link adds, with its mass if determined.
+
+    Arguments as for `identify_payload`; `unloaded` recordings of the same motion make the errors
+    those of the difference.
+    """
+    options = options or PayloadOptions()
+    result = result.result if isinstance(result, Study) else result
+    prepared = prepare(
+        result.model,
+        as_recordings(result.model, recordings),
+        others=(as_recordings(result.model, unloaded),),
+        chain=_with_delay(options.chain, result),
+        holdout=None,
+        checked=options.checked,
+        progress=progress,
+    )
+    (bare,) = prepared.others
+    return identify_added_moments(result, prepared.training, unloaded=bare, frame=options.frame)
 
 
 def _with_delay(chain: SignalChain | None, result: IdentificationResult) -> SignalChain:

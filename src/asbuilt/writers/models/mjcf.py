@@ -81,7 +81,8 @@ def _as_servo(actuator: Element, element: Element, joint: Joint) -> None:
 
 def _add_motors(root: Element, model: RobotModel) -> None:
     """Add a fixed tendon, of length `s = T q`, for every motor that several joints turn."""
-    tendons = Element("tendon")
+    tendons = next(root.iter("tendon"), Element("tendon"))
+    written = len(tendons)
     for joint, shares in zip(model.joints, model.motor_shares, strict=True):
         armature, viscous, coulomb = (
             joint.drive.terms.get(f"motor_{what}", {}).get(symbol, 0.0)
@@ -102,7 +103,7 @@ def _add_motors(root: Element, model: RobotModel) -> None:
             tendon.attrib.update(_dry_friction(coulomb))
         for k in np.flatnonzero(shares):
             SubElement(tendon, "joint", joint=model.joints[k].name, coef=repr(float(shares[k])))
-    if len(tendons):
+    if len(tendons) and not written:
         root.insert(list(root).index(next(root.iter("actuator"))), tendons)
 
 

@@ -13,7 +13,15 @@ import tomli_w
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values
-from asbuilt.description.model import PLAIN_TERMS, ROOT, Joint, Link, RobotModel, Symbols
+from asbuilt.description.model import (
+    PLAIN_TERMS,
+    ROOT,
+    Joint,
+    Link,
+    Mimic,
+    RobotModel,
+    Symbols,
+)
 from asbuilt.writers.files import atomic_write
 
 SAME_LENGTH = 1e-12
@@ -29,15 +37,21 @@ def robot_toml(model: RobotModel) -> str:
         f"name = {_text(model.name)}",
         f"citation = {_text(model.citation)}" if model.citation else "",
         f"notes = {_texts(model.notes)}" if model.notes else "",
+        f"usual_drive = {_text(model.usual_drive)}" if model.usual_drive else "",
         f"gravity = {_numbers(model.gravity)}",
         f"root_link = {_text(model.root_link)}",
         f"lengths = {_table(model.lengths)}" if model.lengths else "",
         "" if model.drives_by_design else "drives_by_design = false",
     ]
     blocks = ["\n".join(line for line in head if line)]
-    blocks += [_link_table(model, model.moving_joints[k], model.links[k]) for k in model.link_order]
+    blocks += [_link_table(model, model.moving_joints[k], model.links[k]) for k in _order(model)]
+    moved = [(joint, joint.mimic) for joint in model.moving_joints if joint.mimic is not None]
+    blocks += [_motor_table(joint) for joint, _ in moved if joint.has_motor]
+    blocks += [_coupling_table(joint, mimic) for joint, mimic in moved]
     if model.motor_coupling is not None:
-        for name, row in zip(model.joint_names, model.motor_coupling, strict=True):
+        for k, (name, row) in enumerate(zip(model.joint_names, model.motor_coupling, strict=True)):
+            if np.array_equal(row, np.eye(model.n_joints)[k]):
+                continue
             turns = ", ".join(
                 f"{_key(other)} = {_float(share)}"
                 for other, share in zip(model.joint_names, row, strict=True)
@@ -64,11 +78,26 @@ def write_robot_toml(path: str | os.PathLike[str], model: RobotModel) -> Path:
     return atomic_write(path, robot_toml(model))
 
 
+def _order(model: RobotModel) -> Sequence[int]:
+    """Return links with parents first, driven ones and followers each in their own order.
+
+    So that both are numbered in the same way when the file is read. Where no such order is, the
+    one of the tree is returned.
+    """
+    ways, order = [[*range(model.n_joints)], [*range(model.n_joints, model.n_links)]], list[int]()
+    while any(ways):
+        ready = [way for way in reversed(ways) if way and model.parents[way[0]] in (ROOT, *order)]
+        if not ready:
+            return model.link_order
+        order.append(ready[0].pop(0))
+    return order
+
+
 def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
     lines = [
         "[[links]]",
         f"name = {_text(link.name)}",
-        f"joint = {_text(joint.name)}",
+        f"joint = {_text(joint.name_in_tree)}",
         f"kind = {_text(joint.kind)}",
         f"parent = {_text(_link_name(model, joint.parent))}",
         f"origin = {{{', '.join(_placement_fields(joint.before, joint.before_symbols, model))}}}",
@@ -81,8 +110,30 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         np.sum([inertia.parameters for _, inertia in link.parts], axis=0) if link.parts else None
     )
     by_parts = whole is not None and np.array_equal(whole, link.inertia.parameters)
+    if link.negligible:
+        lines.append("negligible = true")
     if link.inertia_known and not by_parts:
         lines += _inertia_fields(link.inertia)
+    if joint.mimic is None or not joint.has_motor:
+        lines += _drive_fields(joint)
+    if by_parts:
+        for name, inertia in link.parts:
+            lines += ["", "[[links.parts]]", f"name = {_text(name)}", *_inertia_fields(inertia)]
+    return "\n".join(lines)
+
+
+def _motor_table(joint: Joint) -> str:
+    return "\n".join(["[[motors]]", f"name = {_text(joint.name)}", *_drive_fields(joint)])
+
+
+def _coupling_table(joint: Joint, mimic: Mimic) -> str:
+    lines = ["[[couplings]]", f"{_key(joint.name_in_tree)} = {_table(mimic.factors)}"]
+    return "\n".join([*lines, *([f"offset = {_float(mimic.offset)}"] if mimic.offset else [])])
+
+
+def _drive_fields(joint: Joint) -> list[str]:
+    """Return limits and drive of a joint or a motor."""
+    lines = []
     limits = [
         f"{name} = {_float(value)}"
         for name in _LIMITS
@@ -100,15 +151,7 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         fields.append(f"terms = {{{', '.join(terms)}}}")
     if fields:
         lines.append(f"drive = {{{', '.join(fields)}}}")
-    if joint.mimic is not None:
-        follows = [f"joint = {_text(joint.mimic.joint)}"] + [
-            f"{name} = {_float(getattr(joint.mimic, name))}" for name in ("multiplier", "offset")
-        ]
-        lines.append(f"mimic = {{{', '.join(follows)}}}")
-    if by_parts:
-        for name, inertia in link.parts:
-            lines += ["", "[[links.parts]]", f"name = {_text(name)}", *_inertia_fields(inertia)]
-    return "\n".join(lines)
+    return lines
 
 
 def _inertia_fields(inertia: LinkInertia) -> list[str]:

@@ -13,6 +13,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
 from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
+from asbuilt.errors import DescriptionError
+from asbuilt.findings import Cure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.physical import in_plain_friction, refuse_inconsistent
 from asbuilt.writers.models.urdf_edit import edited_urdf, urdf_notes
@@ -35,8 +37,11 @@ def urdf_text(model: RobotModel) -> str:
     ------
     InertiaError
         If the model is physically inconsistent.
+    DescriptionError
+        If a joint follows several others.
     """
     refuse_inconsistent(model)
+    model = _in_urdf_terms(model)
     root = Element("robot", name=model.name)
     for note in (*model.notes, *urdf_notes(model)):
         root.append(Comment(f" {_without_dashes(note)} "))
@@ -64,6 +69,19 @@ def urdf_text(model: RobotModel) -> str:
         _fixed(root, frame.name, name, composed(carrier, frame.placement))
     indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def _in_urdf_terms(model: RobotModel) -> RobotModel:
+    """Return the robot with a joint for every coordinate, as URDF needs; refuse what it cannot."""
+    model = model.with_rotors
+    for joint in model.followers:
+        if joint.mimic is not None and len(joint.mimic.factors) > 1:
+            raise DescriptionError(
+                f"URDF cannot hold joint {joint.name!r} of {model.name}, which stands at"
+                f" {joint.mimic}: <mimic> follows one joint",
+                cure=Cure("write the robot file (.toml) or MJCF (.xml)"),
+            )
+    return model
 
 
 def write_urdf(
@@ -136,10 +154,9 @@ def _joint(
             bounds | {"effort": _bound(limits.torque), "velocity": _bound(limits.velocity)},
         )
     if joint.mimic is not None:
-        follows = {"joint": joint.mimic.joint}
-        for name in ("multiplier", "offset"):
-            follows[name] = _numbers([getattr(joint.mimic, name)])
-        SubElement(element, "mimic", follows)
+        ((other, factor),) = joint.mimic.factors.items()
+        follows = {"multiplier": _numbers([factor]), "offset": _numbers([joint.mimic.offset])}
+        SubElement(element, "mimic", {"joint": other, **follows})
     known = {"damping": drive.viscous, "friction": drive.coulomb}
     given = {name: _numbers([value]) for name, value in known.items() if value is not None}
     if given:

@@ -182,8 +182,7 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
             f"its joints are {', '.join(described.joint_names)}, the model's"
             f" {', '.join(model.joint_names)}"
         )
-    follow = [[joint.mimic for joint in robot.followers] for robot in (described, model)]
-    if follow[0] != follow[1]:
+    if not np.array_equal(described.link_shares, model.link_shares):
         refuse("its joints follow others than the model's")
     if described.link_names != model.link_names:
         refuse(
@@ -247,12 +246,8 @@ def _dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[
 
 def _followers_of(model: RobotModel, joint: str) -> list[str]:
     """Return the names of the joints that follow a joint."""
-    driven = model.link_joints[model.n_joints :]
-    return [
-        each.name
-        for each, k in zip(model.followers, driven, strict=True)
-        if model.joint_names[k] == joint
-    ]
+    driven = model.link_shares[model.n_joints :, model.joint_names.index(joint)]
+    return [each.name for each, share in zip(model.followers, driven, strict=True) if share]
 
 
 def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:

@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, DriveValues, RobotModel
+from asbuilt.description.model import ROOT, DriveValues, Joint, RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.tables import Cell, Column, Table, stacked, wrapped
@@ -70,6 +70,12 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
     }
 
 
+def _kind(joint: Joint) -> str:
+    if joint.mimic is None or joint.has_motor:
+        return joint.kind
+    return f"follows {' and '.join(joint.mimic.factors)}"
+
+
 def joints_table(model: RobotModel) -> Table:
     """List the joints: parent link, placement of the axis in it, limits and described drives."""
     rows: list[tuple[Cell, ...]] = []
@@ -87,7 +93,7 @@ def joints_table(model: RobotModel) -> Table:
         rows.append(
             (
                 joint.name,
-                joint.kind if joint.mimic is None else f"follows {joint.mimic.joint}",
+                _kind(joint),
                 parent,
                 _vector(joint.before[:3, 3]),
                 _vector(joint.before[:3, 2]),

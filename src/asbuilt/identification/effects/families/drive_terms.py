@@ -1,4 +1,4 @@
-"""Drive terms that the model lacks: friction of another form, springs, balancers."""
+"""Drive terms that the model lacks: friction of another form, springs, balancers, cables."""
 
 from __future__ import annotations
 
@@ -16,9 +16,15 @@ from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Mo
 TRIALS = 4
 """Trial values of a nonlinear parameter, in equal ratios within its credible range."""
 
-
-TITLES = {"spring": "torsion spring", "balancer": "gravity spring or balancer"}
+TITLES = {
+    "spring": "torsion spring",
+    "balancer": "gravity spring or balancer",
+    "cable": "cable or other torque over position",
+}
 """Names of effects that stand for more than the term does."""
+SOUGHT: dict[str, dict[str, float]] = {"cable": {"order": 3.0}}
+"""Nonlinear parameters of terms that are sought in one form: a cubic is what bends a straight line
+to either side, and higher powers extrapolate worse."""
 
 
 class DriveEffect(Effect):
@@ -28,15 +34,11 @@ class DriveEffect(Effect):
 
     def __init__(self, term: DriveTerm) -> None:
         """Take the term at every joint, its nonlinear parameters free."""
-        self.term = term
+        self.term = term.with_nonlinear(SOUGHT.get(term.key, {}))
         self.key = term.key  # type: ignore[misc]
         self.title = TITLES.get(term.key, term.title)  # type: ignore[misc]
         self.kind = (  # type: ignore[misc]
-            "position"
-            if term.key in ("spring", "balancer")
-            else "load"
-            if term.needs_load
-            else "friction"
+            "position" if term.by_position else "load" if term.needs_load else "friction"
         )
         self.positive = not term.by_construction or term.key == "spring"  # type: ignore[misc]
 
@@ -45,16 +47,20 @@ class DriveEffect(Effect):
         return self.term.units(revolute=revolute)[0]
 
     def variants(self, robot: Described) -> Iterator[Variant]:
-        """Yield the term at trial values of its nonlinear parameter, where it is not described."""
+        """Yield the term at trial values of its nonlinear parameter, where it is not described.
+
+        Columns that are zero by a stated parameter, which come last, are left out.
+        """
         term = self.term
-        if not (term.by_construction or robot.source in term.tried_for):
+        if not term.can_be_found or not (term.by_construction or robot.source in term.tried_for):
             return
         own = next((each for each in robot.drive.terms if each.key == term.key), None)
         joints = tuple(k for k in range(robot.model.n_joints) if own is None or not own.is_at(k))
         if not joints:
             return
+        n_columns = sum(bool(function) for function in term.functions())
         for trial in _trials(term, robot):
-            yield Variant(self, len(term.symbols), local=True, joints=joints, term=trial)
+            yield Variant(self, n_columns, local=True, joints=joints, term=trial)
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the term's columns at every joint's own state."""

@@ -1,0 +1,1 @@
+"""Torque by the position of the joint alone, from springs and cables."""
