@@ -52,7 +52,7 @@ class SearchLimits:
     named: float = 0.03
     """Share of the torque error that effects which no model has must take away to be named."""
     rounds: int = 4
-    settled: float = 3e-3
+    settled: float = 1e-3
     """Passes for a tilt, and the step [rad] after which the next is of its square."""
     farthest: float = 0.35
     """Largest tilt [rad]; walls and ceilings belong into the description."""
@@ -152,7 +152,6 @@ class _Search:
         linearisation has left of it.
         """
         tilt, step = np.zeros(2), _about_axes(first.values, first.candidate, selection)
-        path: list[Trial] = []
         for _ in range(LIMITS.rounds):
             tilt = tilt + step
             if np.max(np.abs(tilt)) > LIMITS.farthest:
@@ -162,10 +161,11 @@ class _Search:
             free = selection.equations.candidates[selection.place_of(Tilt.key)]
             own = selection.acting(free)
             selection.taken = [own]
-            path = selection.run(selection.equations.candidates)
             step = _about_axes(selection.values()[own.places], own, selection)
             if np.linalg.norm(step) < LIMITS.settled:
                 break
+        path = selection.run(selection.equations.candidates)
+        step = _about_axes(selection.values()[own.places], own, selection)
         return tilt + step, self._turned(tilt + step), selection, path
 
     def _fitted(

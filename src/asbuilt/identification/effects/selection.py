@@ -25,7 +25,7 @@ class SelectionRules:
     """Share of the squared torque error on other motion that an effect must take away: 1 % of the
     torque error."""
     sure: float = 2.0
-    """Fall of the cost, in half squares of independent standard errors: two of them."""
+    """Fall of the cost for each column, in half squares of independent standard errors: two."""
     felt: float = 1e-3
     """Share of the torque of some joint below which nothing is worth a term: models of arms are
     not more exact."""
@@ -325,7 +325,7 @@ class Selection:
                 continue
             fall = float(fit.score[c] @ np.linalg.solve(own, fit.score[c])) - lost
             gain = fall / (2.0 * self.prior.effect)
-            if gain >= RULES.sure:
+            if gain >= RULES.sure * len(c):
                 found.append((each, gain))
         return found
 
