@@ -25,7 +25,8 @@ class SelectionRules:
     """Share of the squared torque error on other motion that an effect must take away: 1 % of the
     torque error."""
     sure: float = 2.0
-    """Fall of the cost, in half squares of independent standard errors: two of them."""
+    """Fall of the cost, in half squares of independent standard errors: two of them, beyond what
+    each column after the first takes away by chance."""
     felt: float = 1e-3
     """Share of the torque of some joint below which nothing is worth a term: models of arms are
     not more exact."""
@@ -102,7 +103,8 @@ class Trial:
         Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
         motion is predicted no worse.
         """
-        if self.p_value * n_candidates > RULES.level or self.gain < RULES.sure:
+        by_chance = (len(self.values) - 1) * float(np.log(max(self.gain, 1.0)))
+        if self.p_value * n_candidates > RULES.level or self.gain - by_chance < RULES.sure:
             return False
         if self.felt < RULES.felt or np.linalg.norm(self.values) < self.candidate.effect.least:
             return False
