@@ -20,7 +20,8 @@ RICH = (
     "armature,viscous,coulomb:joints=2/3,stribeck:velocity=0.2:power=1.5,load_friction,balancer,"
     "power:exponent=0.4/0.5/0.6,motor_armature,motor_viscous,motor_coulomb,asymmetric_coulomb,"
     "asymmetric_viscous,smooth_coulomb,quadratic,cubic,spring,offset,"
-    "load_stribeck,quadratic_load_stribeck,directional_load_stribeck,directional_load_friction"
+    "load_stribeck,quadratic_load_stribeck,directional_load_stribeck,directional_load_friction,"
+    "cable:order=3,motor_cable,extension_spring:inner=0.02:outer=0.1:angle=0.4:length=0.05"
 )
 
 

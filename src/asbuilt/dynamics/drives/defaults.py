@@ -29,5 +29,9 @@ def usual_drive(model: RobotModel, source: str) -> DriveSet:
 def coupled_motor_terms(model: RobotModel) -> DriveSet:
     """Return armature and friction of the motors that turn with several joints."""
     numbers = tuple(k + 1 for k, shares in enumerate(model.motor_shares) if shares.any())
-    terms = [replace(term, joints=numbers) for term in available_terms().values() if term.of_motor]
+    terms = [
+        replace(term, joints=numbers)
+        for term in available_terms().values()
+        if term.of_motor and not term.by_construction
+    ]
     return DriveSet(tuple(terms)) if numbers else DriveSet()
