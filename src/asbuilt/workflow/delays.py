@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
@@ -65,6 +65,7 @@ def settle_delays(
     digests: Sequence[str],
     chain: SignalChain,
     holdout: str | None,
+    filters: MotionFilters | None = None,
 ) -> Delays:
     """Return the delays of recordings: those that the chain states, or estimates.
 
@@ -78,6 +79,8 @@ def settle_delays(
         The signal chain, its other choices settled.
     holdout
         The rule by which part of them is held out, which the estimate does not use.
+    filters
+        What filters their motions, once for all who share it; None: of its own.
     """
     if chain.delay != "auto" or not heads:
         stated = tuple(
@@ -88,12 +91,13 @@ def settle_delays(
 
     def prepared(delays: Array) -> list[Samples]:
         shifted = [
-            prepare_samples(head, replace(chain, delay=tuple(own.tolist())))
-            for head, own in zip(heads, delays, strict=True)
+            motion.samples(tuple(own.tolist())) for motion, own in zip(motions, delays, strict=True)
         ]
         return shifted if holdout is None else [hold_out(each, holdout)[0] for each in shifted]
 
     try:
+        filters = filters or MotionFilters()
+        motions = [filters.prepare(head, chain) for head in heads]
         found = find_delays(
             model, prepared, drive=_drive(model, heads[0].torque_source), count=len(heads)
         )

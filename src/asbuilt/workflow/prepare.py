@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.saturation import outside_saturation
-from asbuilt.experiment.logs.long_recordings import head_of, prepare_logged
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out, usual_rule
 from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.recording_delay import RecordingDelay
@@ -82,6 +83,7 @@ def prepare(
     settle: Callable[[SignalChain, Sequence[Recording]], SignalChain] | None = None,
     estimate_delay: bool = False,
     delays: Sequence[RecordingDelay] = (),
+    filters: MotionFilters | None = None,
     progress: Progress | None = None,
 ) -> Prepared:
     """Check recordings, choose the signal chain, filter and hold out.
@@ -116,6 +118,8 @@ def prepare(
         have their mean.
     delays
         Delays that are known already.
+    filters
+        What filters motions, once for all who share it; None: of its own.
     progress
         Called with the name of a step and the fraction done.
 
@@ -128,7 +132,7 @@ def prepare(
     """
     if not recordings:
         raise UsageError(f"no recording of {model.name} is given; give at least one")
-    report = progress or (lambda what, fraction: None)
+    report, filters = progress or (lambda what, fraction: None), filters or MotionFilters()
     report("check", 0.0)
     groups = (recordings, validation, *others)
     checks = (
@@ -137,7 +141,7 @@ def prepare(
     report("filter", 0.0)
     chosen, settled = _chosen_by([*recordings, *validation]), chain or SignalChain()
     if chosen:
-        settled = resolve_chain(settled, *chosen)
+        settled = resolve_chain(settled, *chosen, filters=filters)
     if settle is not None:
         settled = settle(settled, _chosen_by(recordings))
     automatic, holdout = holdout == AUTOMATIC, settled_rule(recordings, holdout)
@@ -146,9 +150,9 @@ def prepare(
     if chosen and not delays and (estimate_delay or settled.delay != "auto"):
         report("delay", 0.0)
         rule = None if automatic else holdout
-        late = settle_delays(model, _chosen_by(recordings), digests, settled, rule)
+        late = settle_delays(model, _chosen_by(recordings), digests, settled, rule, filters)
         settled = late.chain
-    whole = tuple(_samples(item, settled, late) for item in recordings)
+    whole = tuple(_samples(item, settled, filters, late) for item in recordings)
     if automatic and not _enough_left(whole, holdout):
         holdout = None
     training, held_out = _parts(whole, holdout)
@@ -158,8 +162,8 @@ def prepare(
         checks=checks,
         training=training,
         held_out=held_out,
-        validation=tuple(_samples(item, settled) for item in validation),
-        others=tuple(tuple(_samples(item, settled) for item in group) for group in others),
+        validation=tuple(_samples(item, settled, filters) for item in validation),
+        others=tuple(tuple(_samples(item, settled, filters) for item in group) for group in others),
         digests=digests,
         delay=late.recordings,
         whole=whole if automatic and holdout is not None else (),
@@ -170,7 +174,7 @@ def divided(
     recordings: Sequence[Recorded], chain: SignalChain, holdout: str | None
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
     """Filter recordings and divide them into training and held-out samples."""
-    return _parts([_samples(item, chain) for item in recordings], holdout)
+    return _parts([_samples(item, chain, MotionFilters()) for item in recordings], holdout)
 
 
 def settled_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | None:
@@ -231,12 +235,17 @@ def _enough_left(whole: Sequence[Samples], holdout: str | None) -> bool:
     return min(part.n_filtered for side in parts for part in side) >= FEWEST
 
 
-def _samples(item: Recorded, chain: SignalChain, delays: Delays | None = None) -> Samples:
+def _samples(
+    item: Recorded, chain: SignalChain, filters: MotionFilters, delays: Delays | None = None
+) -> Samples:
     if isinstance(item, Samples):
         return item
-    if delays is None or not delays.recordings:
-        samples = prepare_logged(item, chain)
-    else:
+    own = ""
+    if delays is not None and delays.recordings:
         own = digest(head_of(item))
-        samples = delays.applied(prepare_logged(item, delays.chain_of(own)), own)
-    return outside_saturation(samples, item) if isinstance(item, Recording) else samples
+        chain = delays.chain_of(own)
+    if isinstance(item, RecordingStream):
+        samples = item.prepared(resolve_chain(chain, item.head))
+    else:
+        samples = outside_saturation(filters.prepare(item, chain).samples(chain.delay), item)
+    return samples if delays is None else delays.applied(samples, own)

@@ -18,6 +18,7 @@ from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
@@ -49,10 +50,12 @@ def settle_servo(
     recordings: Sequence[Recorded],
     validation: Sequence[Recorded],
     options: StudyOptions,
+    filters: MotionFilters | None = None,
 ) -> tuple[list[Recorded], list[Recorded], ServoEstimate | None, StudyOptions]:
     """Return recordings with the torque of their position servo, what it is, and the options.
 
     Nothing changes unless the torque of the recordings is that of a servo that follows a command.
+    `filters` filter their motions, if some serve others too.
 
     Raises
     ------
@@ -75,10 +78,11 @@ def settle_servo(
         model,
         heads,
         drive,
-        resolve_chain(chain, *heads),
+        resolve_chain(chain, *heads, filters=filters),
         delay=_stated_delay(chain),
         shared=options.same_servos,
         holdout=settled_rule(recordings, options.holdout),
+        filters=filters,
     )
     seconds = sum(block.stop - block.start for block in found.unexplained)
     if seconds > EXCEPTION * sum(float(np.ptp(item.t)) for item in heads):

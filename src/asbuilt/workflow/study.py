@@ -20,6 +20,7 @@ from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.effects.found_effect import FoundEffect
@@ -40,12 +41,12 @@ from asbuilt.workflow.fitting.hold_out_plan import hold_out_findings, with_settl
 from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare, settled_rule
 from asbuilt.workflow.servo import explained, servo_delays, settle_servo
-from asbuilt.workflow.simulation.refinement import Refined, judged
+from asbuilt.workflow.simulation.refinement import Refined
 from asbuilt.workflow.simulation.rollout import (
     Simulated,
-    held_out_parts,
+    SimulatedParts,
+    simulated_parts,
     simulated_rollouts,
-    trained_parts,
 )
 
 
@@ -208,12 +209,15 @@ def identify(
     model, (trained, others) = fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_known_masses(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
-    trained, others, servo, options = settle_servo(model, trained, others, options)
+    filters = MotionFilters()
+    trained, others, servo, options = settle_servo(model, trained, others, options, filters)
     if options.rollout and options.holdout is None and not others:
         raise _all_fitted()
-    prepared, cutoffs = _prepared(model, trained, others, options, servo, report)
+    prepared, cutoffs = _prepared(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    parts = trained_parts(trained, prepared.chain, prepared.holdout) if options.refine else ()
+    parts = SimulatedParts()
+    if options.refine or options.rollout:
+        parts = simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)
@@ -231,11 +235,10 @@ def identify(
         effects=fits.effects,
         refined=fits.refined,
     )
-    if not options.rollout and not options.refine:
+    if not options.rollout:
         return study
     report("roll out", 0.0)
-    held = held_out_parts(trained, others, prepared.chain, prepared.holdout)
-    return _rolled_out(study, held, parts, options, workers)
+    return _rolled_out(study, parts.held_out, options, workers)
 
 
 def _prepared(
@@ -244,6 +247,7 @@ def _prepared(
     others: Sequence[Recorded],
     options: StudyOptions,
     servo: ServoEstimate | None,
+    filters: MotionFilters,
     report: Progress,
 ) -> tuple[Prepared, CutoffSweep | None]:
     """Prepare recordings, and sweep cutoffs if that is asked for."""
@@ -263,6 +267,7 @@ def _prepared(
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
         estimate_delay=servo is None,
+        filters=filters,
         progress=report,
     )
     prepared = explained(prepared, trained, servo)
@@ -281,16 +286,13 @@ def _all_fitted() -> UsageError:
 def _rolled_out(
     study: Study,
     held: Sequence[Simulated],
-    parts: Sequence[Simulated],
     options: StudyOptions,
     workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
-    if options.rollout and not held:
+    if not held:
         raise _all_fitted()
     result = study.result.of_training
-    if study.refined is not None:
-        study = replace(study, refined=judged(result, study.refined, held or parts))
     rollouts = simulated_rollouts([result] * len(held), held, options.rollout, workers=workers)
     findings = ranked((*study.findings, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)

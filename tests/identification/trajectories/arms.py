@@ -9,6 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.formats.mjcf_text import mjcf_text
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
@@ -24,10 +25,36 @@ def servo_arm() -> RobotModel:
     return replace(model, joints=tuple(replace(joint, drive=DRIVE) for joint in model.joints))
 
 
-def command(t: Array, seed: int = 0) -> Array:
-    """Return commanded positions of sines and rests, shape (N, 2)."""
+def four_joint_arm(seed: int) -> RobotModel:
+    """Return an arm of four random links, with armature and friction at every joint."""
+    rng, bodies, at = np.random.default_rng(seed), "", 0.0
+    for k, axis in enumerate(("0 0 1", "0 1 0", "0 1 0", "1 0 0")):
+        length, (y, z) = rng.uniform(0.12, 0.3), 0.03 * rng.standard_normal(2)
+        bodies += (
+            f'<body name="link {k}" pos="{at} 0 0"><joint name="joint {k}" axis="{axis}"/>'
+            f'<geom type="capsule" size="0.03" fromto="0 0 0 {length} {y} {z}"'
+            f' mass="{rng.uniform(0.3, 1.5)}"/>'
+        )
+        at = length
+    model = read_mjcf(f"<mujoco><worldbody>{bodies}{4 * '</body>'}</worldbody></mujoco>")
+    joints = (
+        replace(
+            joint,
+            drive=DriveValues(
+                armature=rng.uniform(0.02, 0.06),
+                viscous=rng.uniform(0.3, 1.0),
+                coulomb=rng.uniform(0.1, 0.4),
+            ),
+        )
+        for joint in model.joints
+    )
+    return replace(model, joints=tuple(joints))
+
+
+def command(t: Array, seed: int = 0, n: int = 2) -> Array:
+    """Return commanded positions of sines and rests, shape (N, n)."""
     rng = np.random.default_rng(seed)
-    phases, sizes = rng.uniform(0, 2 * np.pi, (2, 4)), rng.uniform(0.1, 0.3, (2, 4))
+    phases, sizes = rng.uniform(0, 2 * np.pi, (n, 4)), rng.uniform(0.1, 0.3, (n, 4))
     rates = 2 * np.pi * np.array([0.3, 0.7, 1.3, 2.1])
     return np.stack(
         [
@@ -48,12 +75,14 @@ def recorded_by_mujoco(
     noise: float = 0.0,
     steps: float = 0.0,
     stribeck: float = 0.0,
+    step: float = 1e-3,
 ) -> Recording:
     """Return a recording of MuJoCo's own position actuators, loaded from MJCF text.
 
     Goals are moved by the deadband and the lead, and force ranges by the speed, before each step.
     Commands have `steps` [rad] up and down beside their sines. `stribeck` [N m] is what friction
-    near rest has more; it fades at 0.1 rad/s.
+    near rest has more; it fades at 0.1 rad/s. MuJoCo's first-order steps of `step` [s] are those of
+    a command that acts `step / 2` earlier.
     """
     actuators = "".join(
         f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kd}"'
@@ -67,21 +96,22 @@ def recorded_by_mujoco(
     )
     text = text.replace('integrator="RK4"', 'integrator="implicitfast"')
     robot = mujoco.MjModel.from_xml_string(text)
-    robot.opt.timestep = 1e-3
+    robot.opt.timestep = step
     robot.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     robot.dof_solref[:], robot.dof_solimp[:, :2] = [0.002, 1.0], 0.9999
     robot.jnt_actfrclimited[:] = 0
-    data, every = mujoco.MjData(robot), round(1.0 / (rate * 1e-3))
+    data, every = mujoco.MjData(robot), round(1.0 / (rate * step))
     t = np.arange(0.0, duration, 1.0 / rate)
-    u = command(t, seed)
+    u = command(t, seed, model.n_joints)
     u += steps * np.sign(np.sin(2.0 * np.pi * 0.9 * t))[:, None]
-    late = round((servo.delay or 0.0) / 1e-3)
+    late, tick = round((servo.delay or 0.0) / step), round(1e-3 / step)
     data.qpos[:] = u[0]
     q, qd = np.empty_like(u), np.empty_like(u)
-    for step in range(len(t) * every):
-        if step % every == 0:
-            q[step // every], qd[step // every] = data.qpos, data.qvel
-        goal, before = (u[max(step - late - back, 0) // every] for back in (0, 1))
+    for number in range(len(t) * every):
+        if number % every == 0:
+            row = number // every
+            q[row], qd[row] = data.qpos, data.qvel
+        goal, before = (u[max(number - late - back, 0) // every] for back in (0, tick))
         goal = goal + servo.leads * (goal - before) / 1e-3
         data.ctrl[:] = data.qpos + servo.acting(goal - data.qpos)
         if np.any(servo.falling):

@@ -29,7 +29,7 @@ DRIVE = DriveSet.parse("armature,viscous,coulomb")
 def study() -> tuple[Fit, Windows]:
     """The arm's links are 20 % heavier than CAD, its delay is unknown."""
     truth = servo_arm()
-    recording = recorded_by_mujoco(truth, SERVO, duration=16.0, noise=2e-4)
+    recording = recorded_by_mujoco(truth, SERVO, duration=16.0, noise=2e-4, step=1e-4)
     recording = driven_by_command(replace(recording, qd=None), replace(SERVO, delay=0.0))
     cad = truth.with_parameters(truth.parameters / 1.2)
     chain = SignalChain(cutoff=8.0)

@@ -176,3 +176,32 @@ def test_divergence_is_reported_as_missing_numbers(windows: Windows) -> None:
     simulated = simulate_windows(robot, windows)
     assert np.all(np.isfinite(simulated[:, 0]))
     assert np.all(np.isnan(simulated[:, -1]))
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "own"])
+def test_centred_steps_of_a_joint_have_errors_of_second_order(engine: str) -> None:
+    """The limit is that of raw steps of 10 and 20 us; Coriolis forces are not centred."""
+    servo = PositionServo(kp=(40.0,), kd=(1.0,), delay=0.006)
+    robot = robot_as_described(servo_arm().locked(["joint_2"]), servo)
+    robot = replace(robot, values=robot.values * [1.0, 1.0, 0.0])
+    trajectories = Trajectories(robot.model, find_base_parameters(robot.model, robot.drive))
+    t, q, qd = np.arange(0.0, 2.0, 0.01), np.array([[0.2]]), np.array([[0.7]])
+    signal = DriveSignal("command", t, 0.5 * np.sin(6.0 * t)[:, None])
+    cut = Windows("joint", 0.5, 100.0, np.array([0.4]), np.zeros((1, 50, 1)), q, qd, signal)
+
+    def moved(step: float, *, centred: bool) -> Array:
+        fine = replace(cut, longest_step=step)
+        stepped = robot.centred(fine.step) if centred else robot
+        if engine == "mujoco":
+            return simulate_windows(stepped, fine)
+        motion = trajectories.simulate(stepped, fine, robot.model.parameters)
+        if centred:
+            before = fine.start_qd - 0.5 * fine.step * motion.a[:, 0]
+            fine = replace(fine, start_qd=before)
+            motion = trajectories.simulate(stepped, fine, robot.model.parameters)
+        return motion.sampled(fine.divisions)
+
+    limit = 2.0 * moved(1e-5, centred=False) - moved(2e-5, centred=False)
+    coarse, fine = (np.abs(moved(h, centred=True) - limit).max() for h in (1e-3, 5e-4))
+    assert coarse < 0.05 * np.abs(moved(1e-3, centred=False) - limit).max()
+    assert 3.0 < coarse / fine < 5.0

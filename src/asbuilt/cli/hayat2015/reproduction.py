@@ -24,7 +24,6 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_para
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.motion import Motion
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import simulate_recording
@@ -32,6 +31,7 @@ from asbuilt.identification.bodies.consistency import consistency_margin
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import Validation, validate_samples
+from asbuilt.workflow.prepare import prepare
 
 Progress = Callable[[str, float], None]
 
@@ -181,11 +181,7 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
         model, recordings, SignalChain.preset("paper2015"), "ols", DriveSet()
     )
     full, full_validation = _identified(
-        model,
-        recordings,
-        resolve_chain(SignalChain(), recordings.training, recordings.test),
-        "wls",
-        DriveSet.parse("viscous,coulomb,offset"),
+        model, recordings, None, "wls", DriveSet.parse("viscous,coulomb,offset")
     )
     report("identify the virtual robot", 1.0)
     same_ids = zip(base.ids, paper.parameters, strict=True)
@@ -210,15 +206,19 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
 
 
 def _identified(
-    model: RobotModel, recordings: Recordings, chain: SignalChain, method: str, drive: DriveSet
+    model: RobotModel,
+    recordings: Recordings,
+    chain: SignalChain | None,
+    method: str,
+    drive: DriveSet,
 ) -> tuple[IdentificationResult, Validation]:
-    training, test = (
-        prepare_samples(recording, chain) for recording in (recordings.training, recordings.test)
+    prepared = prepare(
+        model, [recordings.training], validation=[recordings.test], chain=chain, checked=False
     )
     result = identify_samples(
-        model, training, base=find_base_parameters(model, drive), method=method
+        model, prepared.training, base=find_base_parameters(model, drive), method=method
     )
-    return result, validate_samples(result, test)
+    return result, validate_samples(result, prepared.validation[0])
 
 
 def _identified_from_simulation(model: RobotModel) -> Array:

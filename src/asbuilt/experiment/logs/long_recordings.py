@@ -169,18 +169,6 @@ def first_of(recording: Recording | RecordingStream, n_samples: int) -> Recordin
     return recording if recording.n_samples <= n_samples else recording.taken(slice(n_samples))
 
 
-def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -> Samples:
-    """Return the samples of a recording or stream; what the chain leaves open is chosen for it."""
-    from asbuilt.experiment.signal.preparation import (  # noqa: PLC0415 - light start
-        prepare_samples,
-        resolve_chain,
-    )
-
-    if isinstance(recording, RecordingStream):
-        return recording.prepared(resolve_chain(chain, recording.head))
-    return prepare_samples(recording, chain)
-
-
 def is_long(path: Path, size: float | None = None) -> bool:
     """Return whether a file can be read in chunks and takes more memory than `size` [bytes].
 

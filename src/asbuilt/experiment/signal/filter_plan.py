@@ -28,6 +28,8 @@ from asbuilt.findings import Cure
 
 SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]
 """t, q, qd, qdd, tau and the torque as recorded, of one segment."""
+FilteredMotion = tuple[Array, Array, Array]
+"""q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
 
 LOWEST_RATE = 100.0
 """Lowest rate [Hz] to which logs are thinned."""
@@ -126,8 +128,13 @@ class FilterPlan:
     @property
     def shift(self) -> int:
         """Number of logged samples on either side that the torque takes at another time."""
-        delays = self.chain.delays
-        return int(np.ceil(np.max(np.abs(delays)) * self.rate)) + HALF_WIDTH if delays else 0
+        return max(self.late) + HALF_WIDTH if self.chain.delays else 0
+
+    @property
+    def late(self) -> tuple[int, int]:
+        """Number of samples at the beginning and at the end whose shifted torque was not logged."""
+        shifts = [delay * self.rate for delay in (*self.chain.delays, 0.0)]
+        return int(np.ceil(-min(shifts))), int(np.ceil(max(shifts)))
 
     @property
     def shoulder(self) -> int:
@@ -139,7 +146,7 @@ class FilterPlan:
         """Number of logged samples between outputs of the parallel filter."""
         return self.parallel.decimation * self.thinning if self.parallel else self.thinning
 
-    def motion(self, segment: UniformSegment) -> tuple[Array, Array, Array]:
+    def motion(self, segment: UniformSegment) -> FilteredMotion:
         """Return q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
         chain, rate = self.chain, self.rate
         cutoff = chain.cutoff or 0.0
@@ -171,18 +178,23 @@ class FilterPlan:
         )
 
     def arrays(
-        self, segment: UniformSegment, low: int, stop: int
+        self, segment: UniformSegment, motion: FilteredMotion, low: int, stop: int
     ) -> tuple[list[SegmentArrays], int]:
         """Return what is left of a segment between logged samples, and where a longer one goes on.
 
-        The samples are those from `low` to before `stop`. Continued from the index returned, the
-        filtered samples of the whole segment appear once each.
+        `motion` is that of the segment, whose torque is shifted back by the delay. The samples are
+        those from `low` to before `stop` whose torque was logged. Continued from the index
+        returned, the filtered samples of the whole segment appear once each.
         """
-        q, qd, qdd = self.motion(segment)
+        (q, qd, qdd), tau = motion, segment.tau
         n, speeds = self.thinning, self.chain.standstill
+        first, last = self.late[0], segment.t.size - self.late[1]
+        if first >= last:
+            return [], stop
         if not self.chain.parallel and n > 1:
-            q, qd, qdd, tau = (decimate_chebyshev(x, n) for x in (q, qd, qdd, segment.tau))
-            return [(segment.t[::n], q, qd, qdd, tau, segment.tau[::n])], segment.t.size
+            t, q, qd, qdd, tau = (x[first:last] for x in (segment.t, q, qd, qdd, tau))
+            q, qd, qdd, smooth = (decimate_chebyshev(x, n) for x in (q, qd, qdd, tau))
+            return [(t[::n], q, qd, qdd, smooth, tau[::n])], segment.t.size
         ranges = [(0, segment.t.size)]
         if not self.chain.rests and speeds is not None:
             still = at_rest(qd, speeds, self.rate)
@@ -192,18 +204,16 @@ class FilterPlan:
         m = self.anti_alias.margin if self.anti_alias else 0
         parts, after = [], stop
         for begin, end in ranges:
-            a, b = max(begin, low, m), min(end, stop, segment.t.size - m)
+            a, b = max(begin, low, first + m), min(end, stop, last - m)
             if a >= b:
                 continue
             kept = slice(a, b, n)
-            tau = (
-                self.anti_alias.apply(segment.tau[a - m : b + m], axis=0)
-                if self.anti_alias
-                else segment.tau[kept]
-            )
-            parts.append((segment.t[kept], q[kept], qd[kept], qdd[kept], tau, segment.tau[kept]))
+            smooth = tau[kept]
+            if self.anti_alias:
+                smooth = self.anti_alias.apply(tau[a - m : b + m], axis=0)
+            parts.append((segment.t[kept], q[kept], qd[kept], qdd[kept], smooth, tau[kept]))
             if end >= stop:
-                outputs = self.parallel.n_outputs(len(tau)) if self.parallel else len(tau)
+                outputs = self.parallel.n_outputs(len(smooth)) if self.parallel else len(smooth)
                 after = a + outputs * self.step
         return parts, after
 

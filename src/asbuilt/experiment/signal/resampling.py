@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.kernels.compilation import kernel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, advancing
@@ -40,6 +40,94 @@ class UniformSegment:
     qd: Array | None
 
 
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Hold how rows of a recording become segments on a uniform clock, every channel alike.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    rows
+        Its usable rows.
+    gap, pause
+        Steps of the clock [s] that end a segment, and from which a pause is bridged.
+    segments
+        Rows of each segment once pauses are bridged.
+    clocks
+        Times of these rows; None if segments are taken as they are.
+    rate
+        Rate of the uniform clock [Hz].
+    notes
+        Sentences about what was done.
+    """
+
+    recording: Recording
+    rows: Indices
+    gap: float
+    pause: float
+    segments: tuple[Indices, ...]
+    clocks: tuple[Array, ...] | None
+    rate: float
+    notes: tuple[str, ...]
+
+    def same_times(self, other: Grid) -> bool:
+        """Return whether another grid makes the same rows of positions into the same segments."""
+        one, two = self.recording, other.recording
+        mine, theirs = ((each.rows, *(each.clocks or each.segments)) for each in (self, other))
+        return (
+            (one.t is two.t and one.q is two.q and one.qd is two.qd)
+            and (self.rate, self.clocks is None) == (other.rate, other.clocks is None)
+            and len(mine) == len(theirs)
+            and all(map(np.array_equal, mine, theirs))
+        )
+
+    def uniform(self) -> list[UniformSegment]:
+        """Return the segments."""
+        recording = self._bridged(self.recording)
+        qd = [
+            self._on_clock(recording.qd, k)
+            if recording.qd is not None and np.all(np.isfinite(recording.qd[_slice_of(rows)]))
+            else None
+            for k, rows in enumerate(self.segments)
+        ]
+        return [
+            UniformSegment(
+                self._times(recording.t, k),
+                self._on_clock(recording.q, k),
+                self._on_clock(recording.tau, k),
+                qd[k],
+            )
+            for k in range(len(self.segments))
+        ]
+
+    def channel(self, x: Array) -> list[Array]:
+        """Return a channel of the recording (N, n) in each segment, (L, n)."""
+        bare = replace(self.recording, tau=x, qd=None, qdd=None, command=None, extra={})
+        bridged_x = self._bridged(bare).tau
+        return [self._on_clock(bridged_x, k) for k in range(len(self.segments))]
+
+    def _bridged(self, recording: Recording) -> Recording:
+        return bridged(recording, self.rows, self.gap, self.pause)[0]
+
+    def _times(self, t: Array, k: int) -> Array:
+        rows = self.segments[k]
+        if self.clocks is not None:
+            clock = self.clocks[k]
+            count = int(np.floor((clock[-1] - clock[0]) * self.rate + 1e-6)) + 1
+            return np.asarray(clock[0] + np.arange(count) / self.rate)
+        part, even = t[_slice_of(rows)], t[rows[0]] + np.arange(rows.size) / self.rate
+        return np.asarray(even if np.max(np.abs(even - part)) < 0.5 / self.rate else part)
+
+    def _on_clock(self, x: Array, k: int) -> Array:
+        rows = self.segments[k]
+        if self.clocks is None:
+            return x[_slice_of(rows)]
+        clock = self.clocks[k]
+        inside = np.minimum(self._times(clock, k), clock[-1])
+        return np.ascontiguousarray(CubicSpline(clock, x[rows], axis=0)(inside))
+
+
 def uniform_segments(
     recording: Recording,
     rate: float | None = None,
@@ -47,6 +135,20 @@ def uniform_segments(
     resolved: float = 0.0,
 ) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
     """Return the segments of a recording on a uniform clock, their rate [Hz], and notes.
+
+    They are those of `uniform_grid`, with the same parameters.
+    """
+    grid = uniform_grid(recording, rate, max_gap, resolved)
+    return grid.uniform(), grid.rate, grid.notes
+
+
+def uniform_grid(
+    recording: Recording,
+    rate: float | None = None,
+    max_gap: float | None = None,
+    resolved: float = 0.0,
+) -> Grid:
+    """Return how a recording becomes segments on a uniform clock.
 
     Rows that are not finite, rows whose time does not increase and rows that repeat the row before
     while the robot moves (a log polled faster than the controller writes) are dropped. A pause
@@ -102,8 +204,9 @@ def uniform_segments(
             value=rate,
             upper=logged_rate,
         )
-    gap = max(GAP * period, resolved) if max_gap is None else max_gap
-    recording, kept_rows, filled = bridged(recording, kept_rows, gap, GAP * period)
+    gap, pause = max(GAP * period, resolved) if max_gap is None else max_gap, GAP * period
+    logged, usable = recording, kept_rows
+    recording, kept_rows, filled = bridged(recording, kept_rows, gap, pause)
     if filled:
         notes.append(
             f"{len(filled)} pauses of up to {max(filled):.3g} s, shorter than the filter resolves,"
@@ -116,7 +219,7 @@ def uniform_segments(
             f"{breaks.size} gaps longer than {gap:g} s (the longest {steps.max():.3g} s) split the"
             f" recording into {breaks.size + 1} segments"
         )
-    segments = [rows for rows in np.split(kept_rows, breaks) if rows.size >= SHORTEST]
+    segments = tuple(rows for rows in np.split(kept_rows, breaks) if rows.size >= SHORTEST)
     if not segments:
         raise RecordingError(
             f"{recording.source}: no segment of {SHORTEST} samples is without a gap of more than"
@@ -127,7 +230,7 @@ def uniform_segments(
     target = logged_rate if rate is None else rate
     inside = np.delete(steps, breaks - 1)
     if np.all(np.abs(inside * target - 1.0) <= JITTER):
-        return [_taken(recording, rows, target) for rows in segments], target, tuple(notes)
+        return Grid(logged, usable, gap, pause, segments, None, target, tuple(notes))
     clocks = [_clock(recording.t[rows], recording.q[rows]) for rows in segments]
     ticks = sum(even for _, even in clocks)
     if rate is None and ticks == len(segments):
@@ -148,22 +251,18 @@ def uniform_segments(
             f"a clock with steps of {1e3 * inside.min():.3g} to {1e3 * inside.max():.3g} ms was"
             f" resampled to {target:g} Hz by cubic splines"
         )
-    return (
-        [
-            _splined(recording, rows, clock, target)
-            for rows, (clock, _) in zip(segments, clocks, strict=True)
-        ],
-        target,
-        tuple(notes),
-    )
+    stamps = tuple(clock for clock, _ in clocks)
+    return Grid(logged, usable, gap, pause, segments, stamps, target, tuple(notes))
 
 
 def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
     """Drop exact repeats; those several times longer than usual are a robot at rest and stay.
 
-    A second torque channel that changes makes a sample new.
+    A second torque channel that changes makes a sample new. Under a command nothing is dropped: its
+    torque is computed, and must not decide which samples there are.
     """
-    if not index.size:
+    commanded = recording.torque_source == "command" and recording.command is not None
+    if not index.size or commanded:
         return index
     part = _slice_of(index)
     rows = [recording.q[part], recording.tau[part]] + (
@@ -263,84 +362,30 @@ def _ticks(t: Array, period: float) -> Array | None:
     return tick - tick[0] if np.all(np.diff(tick) >= 1) else None
 
 
-def _taken(recording: Recording, rows: NDArray[np.intp], rate: float) -> UniformSegment:
-    part, t0 = _slice_of(rows), recording.t[rows[0]]
-    even = t0 + np.arange(rows.size) / rate
-    t = even if np.max(np.abs(even - recording.t[part])) < 0.5 / rate else recording.t[part]
-    qd = None if recording.qd is None else recording.qd[part]
-    return UniformSegment(
-        t,
-        recording.q[part],
-        recording.tau[part],
-        qd if qd is not None and np.all(np.isfinite(qd)) else None,
-    )
-
-
-def _splined(
-    recording: Recording, rows: NDArray[np.intp], clock: Array, rate: float
-) -> UniformSegment:
-    t = clock[0] + np.arange(int(np.floor((clock[-1] - clock[0]) * rate + 1e-6)) + 1) / rate
-    inside = np.minimum(t, clock[-1])
-    qd = None if recording.qd is None else recording.qd[rows]
-
-    def resampled(x: Array) -> Array:
-        return np.ascontiguousarray(CubicSpline(clock, x, axis=0)(inside))
-
-    return UniformSegment(
-        t,
-        resampled(recording.q[rows]),
-        resampled(recording.tau[rows]),
-        resampled(qd) if qd is not None and np.all(np.isfinite(qd)) else None,
-    )
-
-
-def advanced(segment: UniformSegment, delay: Array, rate: float) -> UniformSegment:
-    """Return a segment whose torque at time t is the one logged at `t + delay`, (n,) [s].
+def shifted(x: Array, delay: Array, rate: float) -> Array:
+    """Return x (L, n), whose value at time t is the one at `t + delay`, (n,) [s].
 
     Fractions of a sample by a Kaiser-windowed sinc (Laakso et al., Splitting the unit delay, IEEE
-    Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. Samples at the ends whose torque
-    was not logged are left out.
+    Signal Processing Magazine 13, 1996), flat to 0.4 of the rate. At the ends, where nothing was
+    logged, x is continued by its odd reflection.
     """
-    shift = delay * rate
-    before, after = (int(np.ceil(max(0.0, float(x)))) for x in (-shift.min(), shift.max()))
-    size = segment.t.size
-    if size <= before + after:
-        kept = slice(0, 0)
-        return UniformSegment(
-            segment.t[kept],
-            segment.q[kept],
-            segment.tau[kept],
-            None if segment.qd is None else segment.qd[kept],
-        )
-    kept = slice(before, size - after)
-    tau = np.stack(
-        [
-            _shifted(x, float(steps), before, size - after)
-            for x, steps in zip(segment.tau.T, shift, strict=True)
-        ],
-        axis=1,
-    )
-    return UniformSegment(
-        segment.t[kept],
-        segment.q[kept],
-        tau,
-        None if segment.qd is None else segment.qd[kept],
-    )
+    columns = (_shifted(each, float(steps)) for each, steps in zip(x.T, delay * rate, strict=True))
+    return np.stack(list(columns), axis=1)
 
 
-def _shifted(x: Array, steps: float, first: int, last: int) -> Array:
-    """Return x (L,) at `first + steps` to before `last + steps`, steps a real number."""
+def _shifted(x: Array, steps: float) -> Array:
+    """Return x (L,) at every index plus `steps`, a real number."""
     whole = round(steps)
     part = steps - whole
+    padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
+    begin = whole + abs(whole)
     if abs(part) < 1e-9:
-        return x[first + whole : last + whole]
+        return padded[begin + HALF_WIDTH : begin + HALF_WIDTH + x.size]
     offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
     window = np.i0(
         KAISER * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0))
     )
     taps = np.sinc(offsets - part) * window
-    padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
-    begin = first + whole + abs(whole)
     return np.convolve(
-        padded[begin : begin + last - first + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"
+        padded[begin : begin + x.size + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"
     )

@@ -52,8 +52,8 @@ class SearchLimits:
     named: float = 0.03
     """Share of the torque error that effects which no model has must take away to be named."""
     rounds: int = 4
-    settled: float = 1e-4
-    """Passes for a tilt, and the step [rad] at which it has settled."""
+    settled: float = 3e-3
+    """Passes for a tilt, and the step [rad] after which the next is of its square."""
     farthest: float = 0.35
     """Largest tilt [rad]; walls and ceilings belong into the description."""
 
@@ -166,7 +166,7 @@ class _Search:
             step = _about_axes(selection.values()[own.places], own, selection)
             if np.linalg.norm(step) < LIMITS.settled:
                 break
-        return tilt, turned, selection, path
+        return tilt + step, self._turned(tilt + step), selection, path
 
     def _fitted(
         self, model: RobotModel, taken: Sequence[Candidate]

@@ -95,7 +95,7 @@ class Trial:
     @property
     def worth(self) -> float:
         """Fall of the cost less what as many columns take away by chance."""
-        return self.gain - len(self.values) * float(np.log(max(self.gain, 1.0)))
+        return _beyond_chance(self.gain, len(self.values))
 
     def is_taken(self, n_candidates: int) -> bool:
         """Return whether the effect is sure, and lowers the error on other motion or is imitated.
@@ -103,8 +103,7 @@ class Trial:
         Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
         motion is predicted no worse.
         """
-        by_chance = (len(self.values) - 1) * float(np.log(max(self.gain, 1.0)))
-        if self.p_value * n_candidates > RULES.level or self.gain - by_chance < RULES.sure:
+        if self.p_value * n_candidates > RULES.level:
             return False
         if self.felt < RULES.felt or np.linalg.norm(self.values) < self.candidate.effect.least:
             return False
@@ -215,7 +214,10 @@ class Selection:
         return np.sqrt(np.maximum(energy, 0.0) / max(int(eq.counts.sum()), 1))
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
-        """Try each candidate alone beside those taken; what it replaces is left out then."""
+        """Try each candidate alone beside those taken; what it replaces is left out then.
+
+        Those that do not lower the cost surely have no trial.
+        """
         groups: dict[tuple[int, ...], list[Candidate]] = {}
         for each in candidates:
             groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
@@ -264,10 +266,13 @@ class Selection:
     def _tried(
         self, candidates: Sequence[Candidate], start: tuple[Array, float, float]
     ) -> list[Trial]:
-        """Try candidates that replace the same parameters."""
+        """Try candidates that replace the same parameters; those of no gain have no trial."""
         held_before, error_before, distance_before = start
-        columns = np.unique(np.concatenate([each.places for each in candidates]))
         inside = np.setdiff1d(self._inside(self.taken), candidates[0].replaces)
+        gaining = self._gaining(candidates, inside, error_before + distance_before)
+        if not gaining:
+            return []
+        columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
         parts: list[tuple[_Fit, Array, Array, float]] = []
         for gram in self._held:
@@ -277,41 +282,58 @@ class Selection:
             parts.append((fit, fit.residual @ H, fit.moves.T @ H, error))
         by_block = np.array([whole.moves.T @ (gram @ whole.residual) for gram in self._blocks])
         of_block = np.array([whole.moves.T @ gram @ whole.moves for gram in self._blocks])
-        length = np.diag(self._total)
+        size = np.sqrt(np.diag(self._total))
         floor = np.finfo(np.float64).eps * np.array([gram[-1, -1] for gram in self._held])
         floor = floor + np.finfo(np.float64).tiny
         found = []
-        for candidate in candidates:
-            each = self.acting(candidate)
+        for each, gain in gaining:
             c = np.searchsorted(columns, each.places)
-            own, size = whole.schur[np.ix_(c, c)], np.sqrt(length[each.places])
-            if not c.size or np.linalg.eigvalsh(own / np.outer(size, size))[0] < RULES.separate:
-                continue
+            own = whole.schur[np.ix_(c, c)]
             d: Array = np.asarray(np.linalg.solve(own, whole.score[c]), dtype=np.float64)
             left = -by_block[:, c] - of_block[:, c][:, :, c] @ d
             covariance, p_value = _scatter(own, left, d)
-            after = whole.residual + whole.moves[:, c] @ d
-            held_after = np.array([_left_out(part, c, size) for part in parts])
-            relief = np.log(np.maximum(held_before, floor) / np.maximum(held_after, floor))
-            left_over, distance = float(after @ self._total @ after), self._distance(after)
-            effect = 2.0 * self.prior.effect
-            gain = (error_before + distance_before - left_over - distance) / effect
             if len(each.replaces):
                 # That a term in place of another one is zero is no question: its gain is one.
                 p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
-            found.append(
-                Trial(
-                    each,
-                    d,
-                    covariance,
-                    p_value,
-                    relief,
-                    gain,
-                    (distance_before - distance) / effect,
-                    float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny))),
-                )
-            )
+            held_after = np.array([_left_out(part, c, size[each.places]) for part in parts])
+            relief = np.log(np.maximum(held_before, floor) / np.maximum(held_after, floor))
+            distance = self._distance(whole.residual + whole.moves[:, c] @ d)
+            nearer = (distance_before - distance) / (2.0 * self.prior.effect)
+            felt = float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny)))
+            found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
         return found
+
+    def _gaining(
+        self, candidates: Sequence[Candidate], inside: Indices, cost: float
+    ) -> list[tuple[Candidate, float]]:
+        """Return the candidates that lower the cost surely, with their gain.
+
+        Without what they replace the cost is another one; a column with score s and Schur
+        complement S lowers it by `s^T S^-1 s`.
+        """
+        acting = [each for each in map(self.acting, candidates) if each.places.size]
+        if not acting:
+            return []
+        columns = np.unique(np.concatenate([each.places for each in acting]))
+        fit = self._fit(self._total, inside, columns)
+        x, size = fit.residual, np.sqrt(np.diag(self._total))
+        lost = float(x @ self._total @ x) + self._distance(x) - cost
+        found = []
+        for each in acting:
+            c = np.searchsorted(columns, each.places)
+            own, scale = fit.schur[np.ix_(c, c)], size[each.places]
+            if np.linalg.eigvalsh(own / np.outer(scale, scale))[0] < RULES.separate:
+                continue
+            fall = float(fit.score[c] @ np.linalg.solve(own, fit.score[c])) - lost
+            gain = fall / (2.0 * self.prior.effect)
+            if _beyond_chance(gain, len(c) - 1) >= RULES.sure:
+                found.append((each, gain))
+        return found
+
+
+def _beyond_chance(gain: float, n_columns: int) -> float:
+    """Return the fall of a cost less what this number of columns takes away by chance."""
+    return gain - n_columns * float(np.log(max(gain, 1.0)))
 
 
 def _preferred(best: Trial, trials: Sequence[Trial]) -> Trial:

@@ -13,8 +13,6 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.command.servo_torque import command_rate, held_command
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.servo_rows import ServoRows
 from asbuilt.identification.servo.servo_scale import block_weights, clustered, truncated_solution
@@ -90,7 +88,7 @@ def common_limit(goals: Sequence[GoalLimit | None]) -> tuple[float, float]:
 def find_goal_limit(
     recording: Recording,
     servo: PositionServo,
-    chain: SignalChain,
+    reached: Array,
     rows: Callable[[PositionServo], ServoRows],
 ) -> GoalLimit | None:
     """Return the limit under which a recording fits best; None if it shows none.
@@ -106,13 +104,13 @@ def find_goal_limit(
         The recording.
     servo
         Its servo; a limit that is NaN is sought, one for all such joints.
-    chain
-        The signal chain, its cutoff settled.
+    reached
+        Largest acceleration of each joint (n,) [rad/s^2 or m/s^2].
     rows
         Returns the rows of the recording under a servo.
     """
     joints = np.flatnonzero(np.isnan(np.array(servo.goal_acceleration)))
-    visible = _visible_limits(recording, servo, chain, joints)
+    visible = _visible_limits(recording, servo, reached, joints)
     first = next(visible, None)
     if first is None:
         return None
@@ -154,12 +152,12 @@ def find_goal_limit(
 
 
 def _visible_limits(
-    recording: Recording, servo: PositionServo, chain: SignalChain, joints: Indices
+    recording: Recording, servo: PositionServo, reached: Array, joints: Indices
 ) -> Iterator[float]:
     """Yield the limits in their range that change the goal beyond a delay, fastest first."""
     if not joints.size or recording.command is None:
         return
-    largest = float(np.max(np.abs(prepare_samples(recording, chain).qdd[:, joints]), initial=0.0))
+    largest = float(np.max(reached[joints]))
     if not largest > 0.0:
         return
     plain = replace(recording, servo=limited(servo, np.inf))

@@ -14,6 +14,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.command.magnitude import MagnitudeLaw, logged_magnitude_laws
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.errors.expected_scores import ExpectedScores
@@ -83,6 +84,7 @@ def estimate_servo(
     delay: float | None = None,
     shared: bool = False,
     holdout: str | None = None,
+    filters: MotionFilters | None = None,
 ) -> ServoEstimate:
     """Identify what is unknown of the servo that all recordings have.
 
@@ -105,6 +107,8 @@ def estimate_servo(
         Whether all unknown stiffnesses are one.
     holdout
         A rule of `hold_out`: what to leave out.
+    filters
+        What filters motions, once for all who share it; None: of its own.
     """
     first = recordings[0].servo
     if first is None:
@@ -113,7 +117,8 @@ def estimate_servo(
     unknown = np.isnan(np.array(first.kp))
     stated, late = first, 0.0 if delay is None else delay
 
-    motions = [CommandedMotion(model, base, each, chain, holdout) for each in recordings]
+    filters = filters or MotionFilters()
+    motions = [CommandedMotion(model, base, each, chain, holdout, filters) for each in recordings]
 
     def goal_of(motion: CommandedMotion, recording: Recording) -> GoalLimit | None:
         plain = replace(recording, servo=limited(stated, np.inf))
@@ -122,7 +127,8 @@ def estimate_servo(
         def rows(servo: PositionServo) -> ServoRows:
             return servo_rows([motion], [replace(recording, servo=servo)], late, [rate()])
 
-        return find_goal_limit(recording, stated, chain, rows)
+        reached = np.max(np.abs(motion.motion.samples().qdd), axis=0)
+        return find_goal_limit(recording, stated, reached, rows)
 
     goals = tuple(map(goal_of, motions, recordings))
     recordings = [

@@ -164,8 +164,7 @@ def replayed(
 ) -> Array | None:
     """Return the positions (N, n) of a robot under the command of a recording; None if it diverges.
 
-    The steps of `stepping.simulate` are early by half a step, and their damping acts as that much
-    more armature. With both taken away they are of second order (the leapfrog method).
+    The first-order errors of its steps are undone.
     """
     t, n = recording.t, model.n_joints
     first = np.flatnonzero(np.all(np.isfinite(recording.q), axis=1) & np.isfinite(t))
@@ -173,7 +172,7 @@ def replayed(
         return None
     h = RULES.step
     values = parameters[10 * model.n_links :].reshape(n, -1)
-    robot = _centred(SimulatedRobot(model, base.drive, values, servo), h)
+    robot = SimulatedRobot(model, base.drive, values, servo).centred(h)
     driving = DriveSignal.of(recording, "command")
     engine = Trajectories(model, base)
     q, v = recording.q[first[:1]], np.zeros((1, n))
@@ -231,23 +230,6 @@ def _servo_of(recording: Recording, servo: PositionServo) -> PositionServo:
     if own is None:
         return servo
     return replace(servo, goal_acceleration=own.goal_acceleration, goal_speed=own.goal_speed)
-
-
-def _centred(robot: SimulatedRobot, h: float) -> SimulatedRobot:
-    """Return the robot whose steps of h [s] are those of the leapfrog method."""
-    servo, values, place = robot.servo, robot.values.copy(), 0
-    columns = {}
-    for term in robot.drive.terms:
-        columns[term.key] = place
-        place += len(term.symbols)
-    damping = robot.stiffness[1].copy()
-    if "viscous" in columns:
-        damping += values[:, columns["viscous"]]
-    if "armature" in columns:
-        values[:, columns["armature"]] -= 0.5 * h * damping
-    if servo is not None:
-        servo = replace(servo, delay=robot.delay + 0.5 * h)
-    return replace(robot, values=values, servo=servo)
 
 
 def _with_noise(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
 
@@ -25,7 +25,7 @@ from asbuilt.experiment.command.servo_torque import (
 from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
@@ -39,8 +39,6 @@ RUN = 8
 """Time blocks whose rows are made at once."""
 MOST_HELD = 50e6
 """Memory [bytes] of the rows of a recording that are kept; more are made again each time."""
-TRACE = 1e-13
-"""Increase per sample that is added to each signal, so that no row counts as a repeated one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +102,8 @@ class CommandedMotion:
         The signal chain, its cutoff settled.
     holdout
         A rule of `hold_out`: what to leave out.
+    filters
+        What filters the motion, once for all who share it.
     """
 
     model: RobotModel
@@ -111,6 +111,7 @@ class CommandedMotion:
     recording: Recording
     chain: SignalChain
     holdout: str | None = None
+    filters: MotionFilters = field(default_factory=MotionFilters)
 
     @cached_property
     def support(self) -> tuple[Indices, ...]:
@@ -151,15 +152,24 @@ class CommandedMotion:
         return CommandCurve.of(self.recording)
 
     @cached_property
+    def motion(self) -> PreparedMotion:
+        """The filtered motion, with velocities in place of the torque."""
+        finite = 0.0 * held_command(replace(self.recording, servo=None), curve=self._curve)
+        moved = replace(self.recording, tau=logged_velocity(self.recording) + finite)
+        return self.filters.prepare(moved, self.chain)
+
+    @cached_property
     def _velocity(self) -> Samples:
         """Samples whose torques are velocities; rows count where their direction is known."""
-        found = self._filtered(logged_velocity(self.recording))
+        found = self._divided(self.motion.samples())
         return moving_faster(found, self.recording, self.chain.cutoff or np.inf)
 
     def _filtered(self, signal: Array) -> Samples:
         """Return samples with a signal (N, n) in place of the torque."""
-        trace = TRACE * np.arange(self.recording.n_samples)[:, None]
-        samples = prepare_samples(replace(self.recording, tau=signal + trace), self.chain)
+        return self._divided(self.motion.with_torque(signal).samples())
+
+    def _divided(self, samples: Samples) -> Samples:
+        """Return samples without those at a torque limit, and without those held out."""
         kept = outside_saturation(samples, self.recording)
         return kept if self.holdout is None else hold_out(kept, self.holdout)[0]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ BEYOND = 1e3
 """Time [s] for which the first and the last value are held before and after the log."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class DriveSignal:
     """Hold a logged signal of n joints as a function of time.
 
@@ -55,6 +56,15 @@ class DriveSignal:
         """Times (M,) and values (M, n) of what the servo holds until the next."""
         return (self.t, self.values) if self.goal is None else self.goal
 
+    @cached_property
+    def _sums(self) -> tuple[Array, Array]:
+        """Times (M + 2,), and the integrals of the held signal up to them, (n, M + 2)."""
+        times, values = self._held
+        t = np.concatenate([[times[0] - BEYOND], times, [times[-1] + BEYOND]])
+        held = np.concatenate([values[:1], values])
+        sums = np.cumsum(held * np.diff(t)[:, None], axis=0)
+        return t, np.vstack([np.zeros((1, held.shape[1])), sums]).T.copy()
+
     def means(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:
         """Return the mean of the delayed signal over each time step, shape (W, steps, n).
 
@@ -65,13 +75,8 @@ class DriveSignal:
         if self.kind == "torque":
             middles = edges[:, :-1] + 0.5 * step
             return np.stack([np.interp(middles, self.t, x) for x in self.values.T], axis=-1)
-        times, values = self._held
-        t = np.concatenate([[times[0] - BEYOND], times, [times[-1] + BEYOND]])
-        held = np.concatenate([values[:1], values])
-        sums = np.concatenate(
-            [np.zeros((1, held.shape[1])), np.cumsum(held * np.diff(t)[:, None], axis=0)]
-        )
-        integrals = np.stack([np.interp(edges, t, x) for x in sums.T], axis=-1)
+        t, sums = self._sums
+        integrals = np.stack([np.interp(edges, t, x) for x in sums], axis=-1)
         return np.asarray(np.diff(integrals, axis=1) / step)
 
     def slopes(self, starts: Array, steps: int, step: float, delay: float = 0.0) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -31,7 +32,8 @@ def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:
 
     Rigid bodies, armature, viscous and dry friction and the position servo are MuJoCo's, with
     implicit damping. Terms that MuJoCo lacks are evaluated at each step: what opposes the motion
-    acts as dry friction, so that it holds the joint at rest too, the rest as a torque.
+    acts as dry friction, so that it holds the joint at rest too, the rest as a torque. A robot
+    whose steps are `centred` starts with the velocity half a step before.
 
     Returns
     -------
@@ -46,8 +48,13 @@ def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:
         If the mass matrix of the robot is not positive definite.
     """
     engine = _Engine(robot, windows.step)
+    simulate = engine.in_threads if engine.native else engine.in_step
     with engine.physics.quiet():
-        q, qd = (engine.in_threads if engine.native else engine.in_step)(windows)
+        if robot.step:
+            _, after = simulate(windows, 1)
+            before = windows.start_qd - 0.5 * (after[:, 0] - windows.start_qd)
+            windows = replace(windows, start_qd=np.where(np.isfinite(before), before, 0.0))
+        q, qd = simulate(windows, windows.n_steps)
     every = windows.divisions
     lost = np.maximum.accumulate(~np.all(np.isfinite(q) & (np.abs(qd) < DIVERGED), axis=2), axis=1)
     q[lost] = np.nan
@@ -87,13 +94,26 @@ class _Engine:
         )
         self.compiled, self.order = self.physics.compiled, self.physics.order
         self.every = self.physics.every
+        if robot.step:
+            self._take_away_what_steps_add()
         option, bits = self.compiled.opt, self.mujoco.mjtDisableBit
         option.timestep, option.integrator = step, self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         option.disableflags &= ~int(bits.mjDSBL_ACTUATION)
         option.disableflags |= int(bits.mjDSBL_AUTORESET)
 
-    def in_threads(self, windows: Windows) -> tuple[Array, Array]:
-        """Return positions and velocities after every step, two (W, n_steps, n)."""
+    def _take_away_what_steps_add(self) -> None:
+        """Lower armatures by half a step of damping, as far as there are any.
+
+        With one below zero the mass matrix, which MuJoCo factors too, might not be positive.
+        """
+        model, kd = self.compiled, np.zeros(self.compiled.nv)
+        kd[self.order] = self.robot.stiffness[1]
+        half = 0.5 * self.robot.step
+        model.dof_armature -= np.clip(half * (model.dof_damping + kd), 0.0, model.dof_armature)
+        model.tendon_armature -= np.clip(half * model.tendon_damping, 0.0, model.tendon_armature)
+
+    def in_threads(self, windows: Windows, steps: int) -> tuple[Array, Array]:
+        """Return positions and velocities after every step, two (W, steps, n)."""
         rollout, state = import_module("mujoco.rollout"), self.mujoco.mjtState
         model, n, size = (
             self.robot.model,
@@ -103,7 +123,7 @@ class _Engine:
         start = np.zeros((windows.n_windows, size))
         start[:, 1 + self.every] = model.link_positions(windows.start_q)
         start[:, 1 + n + self.every] = model.link_rates(windows.start_qd)
-        control = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
+        control = self._forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
         data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
         with rollout.Rollout(nthread=len(data)) as pool:
             states, _ = pool.rollout(
@@ -115,7 +135,7 @@ class _Engine:
             )
         return states[..., 1 + self.order], states[..., 1 + n + self.order]
 
-    def in_step(self, windows: Windows) -> tuple[Array, Array]:
+    def in_step(self, windows: Windows, steps: int) -> tuple[Array, Array]:
         """Return the same, all windows step by step, with the drive terms that MuJoCo lacks."""
         forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
         n_controls = self.compiled.nu
@@ -123,23 +143,33 @@ class _Engine:
         for run, q, qd in zip(runs, windows.start_q, windows.start_qd, strict=True):
             run.qpos[self.every] = self.robot.model.link_positions(q)
             run.qvel[self.every] = self.robot.model.link_rates(qd)
-        shape = (windows.n_windows, windows.n_steps, len(self.order))
+        shape = (windows.n_windows, steps, len(self.order))
         positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)
-        for step in range(windows.n_steps):
+        # looked up once: a look-up in MuJoCo's memory takes as long as half a step
+        arrays = [(x.ctrl, x.qfrc_applied, x.qpos, x.qvel, x.qacc) for x in runs]
+        friction, step_once, order = (
+            self.compiled.dof_frictionloss,
+            self.mujoco.mj_step,
+            self.order,
+        )
+        for step in range(steps):
             added, dry = self._further(q, qd, qdd)
-            for w, run in enumerate(runs):
-                if not np.all(np.abs(qd[w]) < DIVERGED):
-                    continue
-                self.compiled.dof_frictionloss[self.order] = dry[w]
-                run.ctrl[:] = forces[w, step, :n_controls]
+            applied = forces[:, step, n_controls:].copy()
+            applied[:, order] -= added
+            moving = np.flatnonzero(np.all(np.abs(qd) < DIVERGED, axis=1))
+            for w in moving.tolist():
+                control, force, position, velocity, acceleration = arrays[w]
+                friction[order] = dry[w]
+                control[:] = forces[w, step, :n_controls]
                 if not self.proportional:
-                    run.ctrl[:] = self._servo_beyond(run.ctrl, q[w], qd[w])
-                run.qfrc_applied[:] = forces[w, step, n_controls:]
-                run.qfrc_applied[self.order] -= added[w]
-                self.mujoco.mj_step(self.compiled, run)
-                q[w], qd[w], qdd[w] = (x[self.order] for x in (run.qpos, run.qvel, run.qacc))
-                positions[w, step], velocities[w, step] = q[w], qd[w]
+                    control[:] = self._servo_beyond(control, q[w], qd[w])
+                force[:] = applied[w]
+                step_once(self.compiled, runs[w])
+                q[w], qd[w] = position[order], velocity[order]
+                if self.others.needs_load:
+                    qdd[w] = acceleration[order]
+            positions[moving, step], velocities[moving, step] = q[moving], qd[moving]
         return positions, velocities
 
     def _servo_beyond(self, goal: Array, q: Array, qd: Array) -> Array:

@@ -176,7 +176,8 @@ class Objective:
         ]
 
         def one(part: tuple[int, slice]) -> Motion:
-            return self.trajectories.simulate(robot, cuts[part[0]].some(part[1]), links)
+            cut = cuts[part[0]].some(part[1])
+            return self.trajectories.simulate(robot.centred(cut.step), cut, links)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             found = list(pool.map(one, parts))
@@ -240,7 +241,9 @@ class Objective:
         needed = np.any(self._to_parameters(point)[:, self.free] != 0.0, axis=1)
         robot, links = self.robot(point), point.chi[: 10 * self.n_links]
         found = [
-            partial(self.trajectories.derivatives, robot, cut, links, motion, needed)
+            partial(
+                self.trajectories.derivatives, robot.centred(cut.step), cut, links, motion, needed
+            )
             for cut, motion in zip(self.windows, motions, strict=True)
         ]
         size = sum(cut.n_windows * cut.n_samples for cut in self.windows)

@@ -111,7 +111,7 @@ def refine_fit(
     chi[prior.non_negative] = np.maximum(chi[prior.non_negative], 0.0)
     if not np.isfinite(belief):
         chi[: 10 * model.n_links] = prior.parameters[: 10 * model.n_links]
-    wanted, windows = of_servo or ServoCoordinates(delay=True), _thinned(windows)
+    wanted, windows = of_servo or ServoCoordinates(delay=True), thinned_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
     share = SAME_SAMPLES * fit.uncertainty.effective_samples / fit.information.n_samples
@@ -256,7 +256,7 @@ def _with_lead(objective: Objective, start: Point, servo: PositionServo) -> tupl
     return (objective, plain.point) if worse > CHANCE else (ahead, other.point)
 
 
-def _thinned(windows: Sequence[Windows]) -> tuple[Windows, ...]:
+def thinned_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
     """Return every k-th window, so that together they last `MOST_SECONDS`."""
     total = sum(each.n_windows * each.horizon for each in windows)
     every = max(1, int(np.ceil(total / MOST_SECONDS)))

@@ -190,6 +190,7 @@ class Trajectories:
             np.nan_to_num(x).reshape(-1, n) for x in (motion.q[:, :-1], motion.v[:, :-1], motion.a)
         )
         after = np.nan_to_num(motion.v[:, 1:]).reshape(-1, n)
+        added = 0.5 * robot.step * a  # torque by the armature that steps add per damping
         slopes = torque_derivatives(self.model, q, v, a, links[None])[:, 0]
         by_q, by_v = np.ascontiguousarray(slopes[..., 0]), np.ascontiguousarray(slopes[..., 1])
         mass = np.ascontiguousarray(slopes[..., 2])
@@ -197,7 +198,7 @@ class Trajectories:
         others = robot.drive.without(*IN_MATRICES)
         _add_drive_slopes(robot, others, q, v, sign, by_q, by_v)
         rows = self.plan.evaluate(q, v, a)
-        drive = _drive_rows(robot, q, v, after, a, sign)
+        drive = _drive_rows(robot, q, v, after - added, a, sign)
         rotors, damping = _matrices(robot)
         kp, kd, _ = robot.stiffness
         dead, falling = robot.deviations
@@ -227,7 +228,7 @@ class Trajectories:
                 if servo:
                     known += [
                         (p + k, -acting[:, k] * free[:, k]),
-                        (p + n + k, after[:, k] * free[:, k]),
+                        (p + n + k, after[:, k] * free[:, k] - added[:, k]),
                         (p + 2 * n, -stiffness[:, k] * late[:, k]),
                         (p + 2 * n + 1, -stiffness[:, k] * ahead[:, k]),
                     ]
@@ -305,7 +306,7 @@ def _columns(robot: SimulatedRobot, keys: tuple[str, ...]) -> Array:
 
 
 def _matrices(robot: SimulatedRobot) -> tuple[Array, Array]:
-    """Return armatures and dampings of the drives as matrices (n, n)."""
+    """Return armatures, less what steps add to them, and dampings of the drives, as (n, n)."""
     T, n = robot.model.motor_shares, robot.model.n_joints
     made = []
     for key in ("armature", "viscous"):
@@ -318,7 +319,8 @@ def _matrices(robot: SimulatedRobot) -> tuple[Array, Array]:
             elif term.key == f"motor_{key}":
                 matrix += T.T @ np.diag(own[:, 0]) @ T
         made.append(matrix)
-    return made[0], made[1]
+    added = made[1] + np.diag(robot.stiffness[1])
+    return made[0] - 0.5 * robot.step * added, made[1]
 
 
 def _drive_rows(

@@ -100,14 +100,18 @@ class Windows:
 
         A lead [s], one or (n,), adds the rate of the means times itself.
         """
-        means = self.signal.means(self.starts, self.n_steps, self.step, delay)
-        return means + np.asarray(lead) * self.rates(delay) if np.any(lead) else means
+        if not np.any(lead):
+            return self.signal.means(self.starts, self.n_steps, self.step, delay)
+        means = self._from_one_before(delay)
+        return np.asarray(means[:, 1:] + np.asarray(lead) * (np.diff(means, axis=1) / self.step))
 
     def rates(self, delay: float) -> Array:
         """Return the rate of the delayed signal from step to step, shape (W, n_steps, n)."""
-        here = (self.starts, self.n_steps, self.step)
-        before = self.signal.means(*here, delay + self.step)
-        return np.asarray((self.signal.means(*here, delay) - before) / self.step)
+        return np.asarray(np.diff(self._from_one_before(delay), axis=1) / self.step)
+
+    def _from_one_before(self, delay: float) -> Array:
+        """Return the mean of the delayed signal over a step before the first, and over each."""
+        return self.signal.means(self.starts - self.step, self.n_steps + 1, self.step, delay)
 
     def slopes(self, delay: float, lead: ArrayLike = 0.0) -> Array:
         """Return the derivative of `inputs` of a held signal by the delay, (W, n_steps, n)."""

@@ -218,7 +218,7 @@ def _simulated(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | Non
     """Return the motion of a robot, None without one, or why it cannot be simulated."""
     robot, windows = task
     try:
-        return None if robot is None else simulate_windows(robot, windows)
+        return None if robot is None else simulate_windows(robot.centred(windows.step), windows)
     except InertiaError as problem:
         return problem.message
 

@@ -28,7 +28,7 @@ from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.servo import delays_of, with_delay_errors
 from asbuilt.workflow.simulation.refinement import Refined, refine_study
-from asbuilt.workflow.simulation.rollout import Simulated
+from asbuilt.workflow.simulation.rollout import SimulatedParts
 
 ADDED = (
     "Stribeck friction was added since the simulated motion calls for it; simulators whose dry"
@@ -93,7 +93,7 @@ def fit_study(
     prepared: Prepared,
     options: StudyOptions,
     servo: ServoEstimate | None,
-    parts: Sequence[Simulated],
+    parts: SimulatedParts,
     report: Progress,
 ) -> Fits:
     """Find the effects that the description lacks, and fit.
@@ -111,7 +111,7 @@ def fit_study(
     servo
         The position servo that was identified before, if any.
     parts
-        Simulated windows for a refinement.
+        What a refinement simulates.
     report
         Called with the name of a step and the fraction done.
     """
@@ -129,7 +129,7 @@ def _fitted(
     prepared: Prepared,
     options: StudyOptions,
     servo: ServoEstimate | None,
-    parts: Sequence[Simulated],
+    parts: SimulatedParts,
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training

@@ -16,19 +16,22 @@ from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.servo.servo_estimate import ServoEstimate, precedes_command
 from asbuilt.identification.trajectories.friction_search import promised_fall, widened
-from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
+from asbuilt.identification.trajectories.refined_fit import (
+    RefinedFit,
+    refine_fit,
+    thinned_windows,
+)
 from asbuilt.identification.trajectories.servo_coordinates import (
     STIFFNESS_SPREAD,
     ServoCoordinates,
 )
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, robot_as_built
+from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
-from asbuilt.workflow.simulation.rollout import Simulated
+from asbuilt.workflow.simulation.rollout import Simulated, SimulatedParts
 
 USUAL = 0.5
 """Length of the windows [s] unless rollouts are asked for."""
@@ -54,9 +57,9 @@ class Refined:
         Steps of the search, and the time they took.
     before, after
         Errors of rollouts of this length on data not fitted, or on the training data if nothing
-        was held out; None until they are judged.
-    held_out
-        Whether the data were not fitted.
+        was held out, of windows of a minute in all; None if there is none of this length.
+    kept
+        Whether the result is the robot after, which its rollouts predict no worse.
     undetermined
         Drive and servo parameters that the trajectories leave where they were.
     start
@@ -70,6 +73,7 @@ class Refined:
     start: SimulatedRobot
     before: RolloutErrors | None = None
     after: RolloutErrors | None = None
+    kept: bool = True
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `--json` prints."""
@@ -79,6 +83,7 @@ class Refined:
             "seconds": self.seconds,
             "before": None if self.before is None else self.before.as_dict(),
             "after": None if self.after is None else self.after.as_dict(),
+            "kept": self.kept,
             "undetermined": list(self.undetermined),
         }
 
@@ -96,7 +101,7 @@ class RefinedStudy:
 def refine_study(
     fitted: Callable[[DriveSet], Fit],
     drive: DriveSet,
-    parts: Sequence[Simulated],
+    parts: SimulatedParts,
     servo: ServoEstimate | None,
     horizons: Sequence[float],
     report: Callable[[str, float], None],
@@ -112,7 +117,8 @@ def refine_study(
     drive
         The drive terms.
     parts
-        What is simulated.
+        What is simulated, and what the refinement must not predict worse than the fit to torques:
+        what was not fitted, or if nothing was held out the training data.
     servo
         The position servo, if any.
     horizons
@@ -136,12 +142,12 @@ def refine_study(
             f"{fit.model.name} has motors that turn with several joints; trajectories of such"
             " robots are simulated, but not fitted"
         )
-    kinds = {signal.kind for _, _, signal in parts}
+    kinds = {signal.kind for _, _, signal in parts.trained}
     if len(kinds) != 1:
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
-    began = time.perf_counter()
+    began, given = time.perf_counter(), drive
     horizon = min(max(horizons, default=USUAL), LONGEST)
-    windows = _windows(parts, horizon)
+    windows = _windows(parts.trained, horizon)
     driven = servo if kinds == {"command"} else None
 
     def refined(fit: Fit, servo: ServoEstimate | None, begin: Array | None = None) -> RefinedFit:
@@ -166,12 +172,13 @@ def refine_study(
         iterations += other.refinement.iterations
         if _gained(found, other) > WORTH * n:
             found, drive = replace(other, start=found.start), wider
-    return RefinedStudy(
-        found.fit,
-        servo if servo is None or driven is None else _servo_as_refined(servo, found),
-        Refined(horizon, iterations, time.perf_counter() - began, found.undetermined, found.start),
-        drive,
-    )
+    seconds = time.perf_counter() - began
+    tried = Refined(horizon, iterations, seconds, found.undetermined, found.start)
+    tried = _validated(tried, found.robot, parts.held_out or parts.trained)
+    if not tried.kept:
+        return RefinedStudy(fit, servo, tried, given)
+    better = servo if servo is None or driven is None else _servo_as_refined(servo, found)
+    return RefinedStudy(found.fit, better, tried, drive)
 
 
 def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
@@ -223,22 +230,47 @@ def _stiffness_spread(servo: ServoEstimate | None) -> float:
     return min(float(np.min(known)), STIFFNESS_SPREAD) if known.size else STIFFNESS_SPREAD
 
 
-def judged(result: IdentificationResult, refined: Refined, parts: Sequence[Simulated]) -> Refined:
+def _validated(refined: Refined, robot: SimulatedRobot, parts: Sequence[Simulated]) -> Refined:
     """Return the refinement with the errors of rollouts before and after it."""
-    windows = _windows(parts, refined.horizon)
-    after = robot_as_built(result, result.servo)
+    try:
+        windows = thinned_windows(_windows(parts, refined.horizon))
+    except RecordingError:
+        return refined
     found = roll_out(
-        result.model,
+        robot.model,
         windows,
         [_driven(refined.start, cut) for cut in windows],
-        [_driven(after, cut) for cut in windows],
+        [_driven(robot, cut) for cut in windows],
     )
-    return replace(refined, before=found.cad, after=found.as_built)
+    before, after = found.cad, found.as_built
+    if before is None or after is None:
+        return replace(refined, before=before, after=after, kept=after is not None)
+    kept = (after.diverged, after.rms_all_until) <= (before.diverged, before.rms_all_until)
+    return replace(refined, before=before, after=after, kept=kept)
 
 
 def refinement_findings(refined: Refined | None) -> tuple[Finding, ...]:
-    """Return what trajectories leave undetermined."""
-    if refined is None or not refined.undetermined:
+    """Return what trajectories leave undetermined, or why they are not followed."""
+    if refined is None:
+        return ()
+    if not refined.kept:
+        before, after = (
+            "a simulation that cannot start"
+            if each is None
+            else f"{1e3 * each.rms_all_until:.3g} mrad"
+            for each in (refined.before, refined.after)
+        )
+        return (
+            Finding(
+                "refinement_rejected",
+                "warning",
+                f"Refined by trajectories, the robot is simulated worse on windows of"
+                f" {refined.horizon:g} s ({after}, before {before}): the result is the fit to"
+                " torques",
+                Cure("record more motion, or look for contact and limits of the servo in the log"),
+            ),
+        )
+    if not refined.undetermined:
         return ()
     return (
         Finding(

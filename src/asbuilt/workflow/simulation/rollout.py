@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from asbuilt.description.load import load_robot
@@ -19,7 +19,8 @@ from asbuilt.experiment.logs.recordings import (
 )
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.result import IdentificationResult
@@ -145,22 +146,30 @@ def simulated_rollouts(
     )
 
 
-def held_out_parts(
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedParts:
+    """Hold what a study may be fitted to by simulations, and what may validate them."""
+
+    trained: tuple[Simulated, ...] = ()
+    held_out: tuple[Simulated, ...] = ()
+
+
+def simulated_parts(
     recordings: Sequence[Recorded],
     validation: Sequence[Recorded],
     chain: SignalChain | None,
     holdout: str | None,
-) -> tuple[Simulated, ...]:
-    """Return what a study may simulate: what was held out, and the other recordings."""
-    held = () if holdout is None else tuple(_part(item, chain, holdout) for item in recordings)
-    return (*held, *(_part(item, chain, None) for item in validation))
-
-
-def trained_parts(
-    recordings: Sequence[Recorded], chain: SignalChain | None, holdout: str | None
-) -> tuple[Simulated, ...]:
-    """Return what a study may be fitted to by simulations: all that is not held out."""
-    return tuple(_part(item, chain, holdout, train=True) for item in recordings)
+    filters: MotionFilters,
+) -> SimulatedParts:
+    """Return what a study may simulate: all but what is held out, and that and other recordings."""
+    held = () if holdout is None else recordings
+    return SimulatedParts(
+        tuple(_part(item, chain, holdout, filters, train=True) for item in recordings),
+        (
+            *(_part(item, chain, holdout, filters) for item in held),
+            *(_part(item, chain, None, filters) for item in validation),
+        ),
+    )
 
 
 def _servo(recording: Recording) -> PositionServo | None:
@@ -177,7 +186,7 @@ def _simulated(
 ) -> Simulated:
     """Return the part of a recording that the result was not identified from."""
     holdout = result.holdout if _trained(result, item) and chain is None else None
-    return _part(item, chain or result.chain, holdout)
+    return _part(item, chain or result.chain, holdout, MotionFilters())
 
 
 def _not_of(
@@ -193,20 +202,25 @@ def _trained(result: IdentificationResult, item: Recorded) -> bool:
 
 
 def _whole(item: Recorded, chain: SignalChain) -> Simulated:
-    return _part(item, chain, None)
+    return _part(item, chain, None, MotionFilters())
 
 
 def _part(
-    item: Recorded, chain: SignalChain | None, holdout: str | None, *, train: bool = False
+    item: Recorded,
+    chain: SignalChain | None,
+    holdout: str | None,
+    filters: MotionFilters,
+    *,
+    train: bool = False,
 ) -> Simulated:
     """Return a recording, a part of its motion with rests by the rule, and its signal."""
     if isinstance(item, Samples):
         recording, samples = _as_recording(item), item
     else:
         recording = head_of(item)
-        settled = resolve_chain(chain or SignalChain(), recording)
+        settled = resolve_chain(chain or SignalChain(), recording, filters=filters)
         whole = replace(settled, rests=True, parallel=False, decimate=None)
-        samples = prepare_samples(recording, whole)
+        samples = filters.prepare(recording, whole).samples(whole.delay)
     signal = driving_signal(recording)
     if holdout is not None:
         samples = hold_out(samples, holdout)[0 if train else 1]

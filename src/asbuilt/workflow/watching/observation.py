@@ -16,11 +16,11 @@ from asbuilt.experiment.recording import Recording, advancing
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
+from asbuilt.experiment.signal.noise.velocity_choice import compare_velocities
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.resampling import uniform_segments
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.signal.velocity_choice import compare_velocities
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.causal_filter import pole_for

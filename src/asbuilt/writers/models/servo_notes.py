@@ -27,7 +27,8 @@ def servo_left_out(
         elif not delay:
             notes.append(
                 f"{lacks} the delay of the servo: give the simulator each command"
-                f" {1e3 * late:.3g} ms later"
+                f" {1e3 * late:.3g} ms later, and half of its time step, by which steps of first"
+                " order act early"
             )
     if servo.limits_goal:
         notes.append(

@@ -63,6 +63,7 @@ def refined_text(refined: Refined) -> str:
     if refined.before is not None and refined.after is not None:
         before, after = (1e3 * each.rms_all for each in (refined.before, refined.after))
         said += f": rollout error {before:.3g} before, {after:.3g} after [mrad or mm]"
+    said += "" if refined.kept else ", which is not followed"
     return wrapped(said + ".") + "\n"
 
 

@@ -1,0 +1,322 @@
+"""Motion of a recording, filtered once, with which any torque at any delay is samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.differentiation import central_differences
+from asbuilt.experiment.signal.filter_plan import FilteredMotion, FilterPlan, SegmentArrays
+from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
+from asbuilt.experiment.signal.noise.band_choice import choose_band
+from asbuilt.experiment.signal.noise.spikes import without_spikes
+from asbuilt.experiment.signal.noise.velocity_choice import VelocityVerdict, compare_velocities
+from asbuilt.experiment.signal.resampling import Grid, UniformSegment, shifted, uniform_grid
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
+from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
+from asbuilt.findings import Cure
+
+UNRESOLVED = 0.25
+"""Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
+quarter.
+"""
+SLOWEST_RATE = 1.0
+"""Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
+
+Found = TypeVar("Found")
+
+
+class MotionFilters:
+    """Filter every motion once, whatever torque is to go with it; one serves a whole study."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[object, tuple[Array | None, ...], object]] = []
+
+    def prepare(self, recording: Recording, chain: SignalChain | None = None) -> PreparedMotion:
+        """Return the filtered motion of a recording; what the chain leaves open is chosen for it.
+
+        Raises
+        ------
+        UsageError
+            If a cutoff or rate is impossible for this recording.
+        """
+        asked = replace(chain or SignalChain(), delay=None)
+        grid = grid_of(recording, asked)
+        segments, commanded = grid.uniform(), recording.torque_source == "command"
+        settled, notes, bound = settle_chain(asked, segments, grid.rate, self, commanded)
+        if asked.cutoff is None:
+            grid = grid_of(recording, settled)
+            segments = grid.uniform()
+        plan = FilterPlan.of(settled, grid.rate)
+        motions = (self.motion(plan, each) if plan.fits(each) else None for each in segments)
+        return PreparedMotion(recording, plan, grid, notes, tuple(segments), tuple(motions), bound)
+
+    def motion(self, plan: FilterPlan, segment: UniformSegment) -> FilteredMotion:
+        """Return the filtered motion of a segment."""
+        chain = plan.chain
+        filters = (chain.cutoff, chain.order, chain.corrected, chain.derivative, chain.velocity)
+        return self.once(("motion", plan.rate, *filters), [segment], lambda: plan.motion(segment))
+
+    def once(
+        self, what: object, segments: Sequence[UniformSegment], make: Callable[[], Found]
+    ) -> Found:
+        """Return what is made of the motion of segments, as it was made before if it was."""
+        arrays = tuple(x for segment in segments for x in (segment.q, segment.qd))
+        for known, before, found in self._kept:
+            if known == what and len(before) == len(arrays) and all(map(_same, before, arrays)):
+                return found  # type: ignore[return-value]
+        made = make()
+        self._kept.append((what, arrays, made))
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedMotion:
+    """Hold the filtered motion of a recording, with which torques at any delay are samples.
+
+    Delays shift the torque; the samples stay, but for ends where no torque was logged.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    plan
+        Its filters, all choices settled, without a delay.
+    grid, notes
+        Its segments on a uniform clock, and sentences about the choices.
+    segments, motions
+        The segments, and the filtered motion of each; None of those too short for the filters.
+    clock_bound
+        Largest error of the clock, as a share, that logged velocities admit.
+    """
+
+    recording: Recording
+    plan: FilterPlan
+    grid: Grid
+    notes: tuple[str, ...]
+    segments: tuple[UniformSegment, ...]
+    motions: tuple[FilteredMotion | None, ...]
+    clock_bound: float
+
+    def with_torque(self, tau: Array) -> PreparedMotion:
+        """Return the motion with another signal (N, n), finite where the torque is, for torque."""
+        recording = replace(self.recording, tau=tau)
+        channel = self.grid.channel(recording.with_torque_of(recording.has_torque).tau)
+        segments = tuple(map(_with_torque, self.segments, channel))
+        return replace(self, recording=recording, segments=segments)
+
+    def samples(self, delay: Delay = None) -> Samples:
+        """Return samples whose torque is shifted back by a delay [s].
+
+        Raises
+        ------
+        RecordingError
+            If no segment is long enough for the filters.
+        UsageError
+            If delays are of another number of joints.
+        """
+        recording, rate = self.recording, self.plan.rate
+        plan = replace(self.plan, chain=replace(self.plan.chain, delay=delay))
+        parts, seconds = list[SegmentArrays](), 0.0
+        for segment, motion in zip(self.segments, self.motions, strict=True):
+            if motion is not None:
+                stop = segment.t.size - plan.margin
+                parts += plan.arrays(advanced(segment, plan), motion, plan.margin, stop)[0]
+                seconds += (stop - plan.margin) / rate
+        if not parts:
+            longest = max(segment.t.size for segment in self.segments)
+            raise RecordingError(
+                f"{recording.source}: no samples are left. The longest segment without a gap has"
+                f" {longest} samples, a low-pass at {plan.chain.cutoff:.3g} Hz takes"
+                f" {2 * plan.margin} at {rate:g} Hz, and rests are left out",
+                cure=Cure("raise the cutoff, record longer, or check that the robot moves"),
+                file=recording.source,
+                value=longest,
+                lower=2 * plan.margin,
+            )
+        samples = assembled_samples(
+            recording,
+            plan,
+            parts,
+            float(self.segments[0].t[0]),
+            recording.has_torque,
+            self.clock_bound,
+            (*recording.notes, *self.grid.notes, *self.notes, *plan.description()),
+        )
+        if samples.parallel is not None and samples.n_filtered == 0:
+            raise RecordingError(
+                f"{recording.source}: no segment is as long as the parallel filter at"
+                f" {samples.parallel.cutoff:.3g} Hz,"
+                f" {samples.parallel.taps.size / samples.rate:.3g} s",
+                cure=Cure("raise the cutoff or record longer"),
+                file=recording.source,
+            )
+        rested = seconds - samples.duration
+        if plan.chain.rests or rested <= PAUSE:
+            return samples
+        left_out = f"{rested:.3g} s in which all joints are at rest were left out"
+        return replace(samples, provenance=(*samples.provenance, left_out))
+
+
+def grid_of(
+    recording: Recording,
+    chain: SignalChain,
+    rate: float | None = None,
+    has_torque: Mask | None = None,
+) -> Grid:
+    """Return segments on a uniform clock; pauses that the filter does not resolve do not divide.
+
+    Single torques that stand out have the mean of their neighbours; joints without torque have 0.
+    """
+    resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
+    recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
+    return uniform_grid(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
+
+
+def settle_chain(
+    chain: SignalChain,
+    segments: Sequence[UniformSegment],
+    rate: float,
+    filters: MotionFilters,
+    commanded: bool,
+) -> tuple[SignalChain, tuple[str, ...], float]:
+    """Return the chain with its choices made, sentences about them, and a bound of the clock.
+
+    The bound is that of `Samples.clock_bound`.
+    """
+    notes, clock_bound = list[str](), np.inf
+    if rate < SLOWEST_RATE:
+        raise RecordingError(
+            f"a sampling rate of {rate:.3g} Hz is too low to differentiate positions; at least"
+            f" {SLOWEST_RATE:g} Hz is required",
+            cure=Cure("check that the time stamps are in seconds"),
+            value=rate,
+            lower=SLOWEST_RATE,
+        )
+    longest = max(segment.t.size for segment in segments) / rate
+    if chain.cutoff is not None and chain.cutoff * longest < 0.1:
+        raise UsageError(
+            f"a low-pass at {chain.cutoff:.3g} Hz leaves nothing of a recording whose longest"
+            f" segment without a gap lasts {longest:.3g} s",
+            cure=Cure("raise the cutoff"),
+            value=chain.cutoff,
+            lower=0.1 / longest,
+        )
+    band = None
+    if chain.cutoff is None:
+        band = choose_band(segments, rate, commanded=commanded)
+        chain = replace(chain, cutoff=band.cutoff)
+    if chain.velocity == "auto":
+        verdict = filters.once(
+            ("velocity", rate, chain.cutoff, chain.order),
+            segments,
+            lambda: _velocity_verdict(chain, segments, rate),
+        )
+        chain = replace(
+            chain, velocity="measured" if verdict is not None and verdict.helps else "derived"
+        )
+        if verdict is not None:
+            notes.append(str(verdict))
+            clock_bound = verdict.clock_bound
+    elif chain.velocity == "measured" and any(segment.qd is None for segment in segments):
+        raise UsageError(
+            "the chain uses measured velocities, but the recording has none, or not for every"
+            " sample",
+            cure=Cure("let the chain choose", settings={"velocity": "auto"}),
+        )
+    if band is not None:
+        if chain.velocity == "measured":
+            band = choose_band(segments, rate, of_velocity=True, commanded=commanded)
+            chain = replace(chain, cutoff=band.cutoff)
+        notes.insert(0, str(band))
+    if chain.standstill is None and not chain.rests:
+        plan = FilterPlan.of(chain, rate)
+        fitting = [segment for segment in segments if plan.fits(segment)]
+        if fitting:
+            motions = [filters.motion(plan, segment)[:2] for segment in fitting]
+            chain = replace(chain, standstill=standstill_speeds(motions, chain.cutoff or 0.0))
+    return chain, tuple(notes), clock_bound
+
+
+def advanced(segment: UniformSegment, plan: FilterPlan) -> UniformSegment:
+    """Return a segment with the torque shifted back by the known delay of the chain."""
+    delays, n = plan.chain.delays, segment.q.shape[1]
+    if not delays:
+        return segment
+    if len(delays) not in (1, n):
+        raise UsageError(
+            f"a delay is one number for all joints or one for each of {n}, got {len(delays)}"
+        )
+    return _with_torque(segment, shifted(segment.tau, np.broadcast_to(delays, (n,)), plan.rate))
+
+
+def _with_torque(segment: UniformSegment, tau: Array) -> UniformSegment:
+    return replace(segment, tau=tau)
+
+
+def _same(one: Array | None, other: Array | None) -> bool:
+    """Return whether two arrays hold the same numbers, or neither is there."""
+    if one is None or other is None:
+        return one is other
+    return one is other or (one.shape == other.shape and bool(np.all(one == other)))
+
+
+def _velocity_verdict(
+    chain: SignalChain, segments: Sequence[UniformSegment], rate: float
+) -> VelocityVerdict | None:
+    cutoff, order = chain.cutoff or 0.0, chain.order
+    pairs = []
+    for segment in segments:
+        if segment.qd is None:
+            return None
+        if segment.t.size > 2 * settling_samples(cutoff, rate, order=order):
+            derived = central_differences(segment.q, rate)
+            smooth, logged = (
+                butterworth(x, cutoff=cutoff, rate=rate, order=order) for x in (derived, segment.qd)
+            )
+            pairs.append((smooth, logged, derived, segment.qd))
+    return compare_velocities(pairs, rate) if pairs else None
+
+
+def assembled_samples(
+    recording: Recording,
+    plan: FilterPlan,
+    parts: list[SegmentArrays],
+    origin: float,
+    has_torque: Mask,
+    clock_bound: float,
+    provenance: tuple[str, ...],
+) -> Samples:
+    """Return the samples of the parts of a recording that began at `origin` [s]."""
+    bounds = [0, *np.cumsum([part[0].size for part in parts]).tolist()]
+    t, q, qd, qdd, tau, tau_raw = (
+        np.concatenate(column) if len(parts) > 1 else column[0]
+        for column in zip(*parts, strict=True)
+    )
+    return Samples(
+        t=t,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        tau=tau,
+        tau_raw=tau_raw,
+        rate=plan.rate / plan.thinning,
+        joint_names=recording.joint_names,
+        segments=tuple(pairwise(bounds)),
+        source=recording.source,
+        torque_source=recording.torque_source,
+        parallel=plan.parallel,
+        origin=origin,
+        provenance=provenance,
+        delay=plan.chain.delays,
+        slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
+        clock_bound=clock_bound,
+    )
