@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from reload_oracle import as_if_identified
 
+from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.load import load_robot
@@ -91,8 +92,13 @@ def test_mujoco_moves_followers_as_the_equality_says() -> None:
     assert (exported.neq, exported.nu) == (3, 5)
 
 
-def test_c_code(tmp_path: Path) -> None:
-    robot = as_if_identified(palletizer(), 4)
+@pytest.mark.parametrize(
+    "described", [palletizer(), bundled_robot("dvrk-psm")], ids=lambda m: m.name
+)
+def test_c_code(described: RobotModel, tmp_path: Path) -> None:
+    robot = as_if_identified(described, 4)
+    n = robot.n_joints
+    states = np.random.default_rng(12).normal(size=(3, 6, n))
     source, _ = write_c(tmp_path / "robot.c", robot)
     library = tmp_path / "robot.so"
     flags = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O0", "-shared", "-fPIC")
@@ -109,13 +115,13 @@ def test_c_code(tmp_path: Path) -> None:
     drive = DriveSet.parse("armature,viscous,coulomb,offset")
     base = find_base_parameters(robot, drive)
     chi = np.concatenate([robot.parameters, drive_values(robot)])
-    for state in zip(*STATES, strict=True):
+    for state in zip(*states, strict=True):
         tau = regressor(robot, *state, drive) @ chi
-        np.testing.assert_allclose(called("inverse_dynamics", 5, *state), tau, atol=1e-9)
+        np.testing.assert_allclose(called("inverse_dynamics", n, *state), tau, atol=1e-9)
         np.testing.assert_allclose(
-            called("gravity_torque", 5, state[0]), gravity_torque(robot, state[0]), atol=1e-10
+            called("gravity_torque", n, state[0]), gravity_torque(robot, state[0]), atol=1e-10
         )
-        Y = called("regressor", 5 * base.n_base, *state).reshape(5, -1)
+        Y = called("regressor", n * base.n_base, *state).reshape(n, -1)
         expected = regressor(robot, *state, drive)[:, base.columns]
         np.testing.assert_allclose(Y, expected, atol=1e-9)
 

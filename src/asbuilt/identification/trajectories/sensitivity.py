@@ -100,9 +100,9 @@ class Trajectories:
         """The branches of the robot, which move independently of each other."""
         n, p = self.model.n_joints, self.base.n_base
         moved_by = np.array(self.model.link_joints)
-        roots = np.arange(n)
+        roots, shares = np.arange(n), self.model.link_shares != 0.0
         for link in range(self.model.n_links):
-            joints = moved_by[list(self.model.ancestors(link))]
+            joints = np.flatnonzero(shares[list(self.model.ancestors(link))].any(axis=0))
             roots[np.isin(roots, roots[joints])] = roots[joints].min()
         links = 10 * self.model.n_links
         per = max(self.base.drive.columns_per_joint, 1)
