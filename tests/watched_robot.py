@@ -74,7 +74,7 @@ def watched_robot() -> WatchedRobot:
     robot = VirtualRobot.typical(bundled_robot("kuka-iiwa7-r800"), rng=1)
     assert robot.described is not None
     trained = recorded(robot, 1, 15.0)
-    options = StudyOptions(drive="armature,viscous,coulomb,offset", method="wls")
+    options = StudyOptions(drive="armature,viscous,coulomb,offset", method="wls", effects="none")
     result = identify(robot.described, trained, options=replace(options, holdout=None)).result
     quiet = tuple(recorded(robot, seed, LONGEST) for seed in (2, 3, 4, 5))
     error = largest_velocity_error([(log.t, log.q, log.qd) for log in quiet])

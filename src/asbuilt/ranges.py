@@ -42,7 +42,7 @@ def check_ranges(options: Any) -> None:
     None and texts, which stand for a choice, are passed over; of a tuple, every number counts.
 
     >>> from asbuilt.workflow.watching.options import WatchOptions
-    >>> WatchOptions(bandwidth=math.nan)
+    >>> WatchOptions(bandwidth=float("nan"))
     Traceback (most recent call last):
     ...
     asbuilt.errors.UsageError: bandwidth is nan; it must be a number from 0.001 to 10000 Hz

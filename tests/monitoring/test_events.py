@@ -260,7 +260,7 @@ def test_what_cannot_be_watched_is_refused(watched: WatchedRobot) -> None:
         watch(result, other)
     with pytest.raises(RecordingError, match="too few"):
         watch(result, log.taken(slice(0, 5)), options=UNCHECKED, thresholds=watched.thresholds)
-    with pytest.raises(UsageError, match="false alarms must be positive"):
+    with pytest.raises(UsageError, match="false_alarms_per_hour is 0; it must be a number"):
         watch(result, log, options=WatchOptions(false_alarms_per_hour=0.0))
     with pytest.raises(UsageError, match="at most"):
         watch(result, log, options=WatchOptions(false_alarms_per_hour=1e6, checked=False))

@@ -85,7 +85,7 @@ def test_what_is_wrong_is_said_without_a_traceback(
         (("--thresholds", foreign), 1, "holds no thresholds"),
         (("--thresholds", spoilt, "--calibrate", folder / "quiet0.csv"), 2, "exclude each other"),
         (("--calibrate", log), 2, "given twice"),
-        (("--false-alarms-per-hour", "-1", "--unchecked"), 2, "must be positive"),
+        (("--false-alarms-per-hour", "-1", "--unchecked"), 2, "must be a number from"),
         (("--frame", "nowhere", "--unchecked"), 1, "nowhere"),
     )
     for arguments, status, words in cases:

@@ -62,8 +62,10 @@ def checked(capsys: pytest.CaptureFixture[str], folder: Path, case: Case) -> Non
 GROUPS = (
     *(f"robot {suffix}" for suffix in corpus.ROBOTS),
     *("deep sheets", "csv logs", "motions", "options"),
-    *(pytest.param(group, marks=pytest.mark.study) for group in ("deep", "logs", "sheets")),
+    *("deep", "logs", "sheets"),
 )
+SLOW = ("deep", "logs", "sheets")
+"""Groups that take seconds."""
 
 
 @cache
@@ -103,7 +105,10 @@ def groups() -> dict[str, list[Case]]:
     return found
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize(
+    "group",
+    [pytest.param(group, marks=pytest.mark.study if group in SLOW else ()) for group in GROUPS],
+)
 def test_text_and_options(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,

@@ -23,7 +23,6 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.body_bounds import body_bounds
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
-from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -102,7 +101,7 @@ def test_errors_are_those_of_the_dense_posterior(trial, method):
         metric = [[np.trace(one @ other) for one in moves] for other in moves]
         H[own, own] += estimate.belief * prior.strength[i] * np.array(metric)
     drives = np.arange(10 * n, len(H))
-    H[drives, drives] += DRIVE_RIDGE / prior.drive_scale**2
+    H[drives, drives] += prior.drive_weight / prior.drive_scale**2
     both = np.isin(np.arange(len(H)), [19, 29]).astype(float)
     H += np.outer(both, both) * 12.0 / (30.0 - 1.0) ** 2
     scale = 1.0 / np.sqrt(np.diag(H))

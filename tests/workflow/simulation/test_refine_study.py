@@ -78,7 +78,7 @@ def test_workers_simulate_what_was_held_out_to_the_same_bits(monkeypatch) -> Non
 
 @pytest.mark.parametrize("text", ["0", "a,b", "-1", "nan", ""])
 def test_lengths_of_rollouts_are_positive(text: str) -> None:
-    with pytest.raises(UsageError, match="positive"):
+    with pytest.raises(UsageError, match="lengths of rollouts are numbers from"):
         horizons(text)
 
 

@@ -299,6 +299,8 @@ class Selection:
             distance = self._distance(whole.residual + whole.moves[:, c] @ d)
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
             felt = float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny)))
+            if len(each.replaces):  # nearly all of its torque is that of what it replaces
+                felt = float(np.sqrt(2.0 * self.prior.effect * gain / self._total[-1, -1]))
             found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
         return found
 

@@ -114,7 +114,7 @@ def test_the_torque_of_a_payload_is_that_of_its_weight_and_inertia(drift: FleetD
 def test_changes_before_a_date_do_not_count(ledger: Path) -> None:
     late = fleet_drift(ledger, since=BEGIN + timedelta(days=CHANGE))
     assert {each.id for each in late.changed} == {"R1", "R2"}
-    with pytest.raises(UsageError, match="false discovery rate"):
+    with pytest.raises(UsageError, match="false_discovery_rate is 0; it must be a number"):
         FleetDriftOptions(false_discovery_rate=0.0)
 
 
