@@ -76,11 +76,10 @@ def test_terms_are_chosen_or_given_for_any_robot(capsys, tmp_path, robot):
         "--holdout",
         "blocks:2s:4",
     )
-    assert ("load_friction" in chosen["drive"]) == (robot != "scara"), (
-        "the axes of a SCARA stand upright and carry next to no load"
-    )
-    assert "drive_terms" in [warning["code"] for warning in chosen["warnings"]]
-    assert any(line.startswith("drive terms") for line in chosen["provenance"])
+    assert "load_friction" in chosen["drive"]
+    named = {(each["effect"], each["in_model"]) for each in chosen["effects"]}
+    assert ("load_friction", True) in named
+    assert "effect_in_model" in [warning["code"] for warning in chosen["warnings"]]
     given = document(
         capsys,
         "identify",

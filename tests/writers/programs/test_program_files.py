@@ -72,7 +72,7 @@ def test_program_writes_every_file_it_names(
     [
         (["--format", "krl"], 2, "available: franka, sunrise, fri"),
         (["--format", "urscript"], 1, "6 revolute joints"),
-        (["--format", "csv", "--rate", "0"], 1, "rate"),
+        (["--format", "csv", "--rate", "0"], 2, "rate"),
         ([], 2, "--format"),
     ],
 )

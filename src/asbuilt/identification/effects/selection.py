@@ -65,10 +65,10 @@ class Trial:
 
     `values` (m,) and `covariance` are of its parameters, by the scatter of time blocks, `p_value`
     that of their all being zero. `relief` (groups,) is the logarithm of the fall of the squared
-    error on each held-out group. `gain` is the fall of the cost, `nearer` the part of it by which
-    bodies come nearer to CAD, both in half squares of independent standard errors; `felt` its
-    torque in that of the joint where this share is largest. `alternatives` would explain as much,
-    and are needless beside it.
+    error on each held-out group. `gain` is the fall of the cost in half squares of independent
+    standard errors, by the logarithm of its ratio; `nearer` how much nearer to CAD bodies come, in
+    the same unit; `felt` its torque in that of the joint where this share is largest.
+    `alternatives` would explain as much, and are needless beside it.
     """
 
     candidate: Candidate
@@ -300,7 +300,9 @@ class Selection:
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
             felt = float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny)))
             if len(each.replaces):  # nearly all of its torque is that of what it replaces
-                felt = float(np.sqrt(2.0 * self.prior.effect * gain / self._total[-1, -1]))
+                felt = float(
+                    np.sqrt(2.0 * self.prior.effect * max(gain, 0.0) / self._total[-1, -1])
+                )
             found.append(Trial(each, d, covariance, p_value, relief, gain, nearer, felt))
         return found
 
@@ -326,7 +328,9 @@ class Selection:
             if np.linalg.eigvalsh(own / np.outer(scale, scale))[0] < RULES.separate:
                 continue
             fall = float(fit.score[c] @ np.linalg.solve(own, fit.score[c])) - lost
-            gain = fall / (2.0 * self.prior.effect)
+            # The logarithm: what an effect explains is no noise of the fit with it.
+            left = max(1.0 - fall / cost, np.finfo(np.float64).eps) if cost > 0.0 else 1.0
+            gain = -0.5 * cost / self.prior.effect * float(np.log(left))
             if gain >= RULES.sure * len(c):
                 found.append((each, gain))
         return found
