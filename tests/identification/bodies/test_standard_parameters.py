@@ -30,13 +30,13 @@ def test_real_bodies_with_exactly_the_torques_and_closer_to_cad_than_the_truth(t
     assert found.part > 0.0
     np.testing.assert_allclose(case.base.values(found.parameters), case.beta, rtol=0, atol=1e-11)
     assert not inconsistencies(
-        case.model.with_parameters(found.parameters[: 10 * case.model.n_joints])
+        case.model.with_parameters(found.parameters[: 10 * case.model.n_links])
     )
     assert case.prior.strength @ found.divergence <= case.prior.strength @ case.prior.divergence(
         case.chi
     )
     q, qd, qdd = np.random.default_rng(0).uniform(-1.5, 1.5, (3, 40, case.model.n_joints))
-    bodies = [chi[: 10 * case.model.n_joints] for chi in (found.parameters, case.chi)]
+    bodies = [chi[: 10 * case.model.n_links] for chi in (found.parameters, case.chi)]
     if drive == "none":
         one, other = (inverse_dynamics(case.model, q, qd, qdd, parameters=chi) for chi in bodies)
         np.testing.assert_allclose(one, other, atol=1e-9)
