@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from asbuilt.findings import Cure, Finding
-
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
@@ -46,19 +44,3 @@ class FoundEffect:
 def tilts(effects: Sequence[FoundEffect]) -> bool:
     """Return whether a base tilt is in the model."""
     return any(each.effect == "tilt" and each.in_model for each in effects)
-
-
-def effect_findings(effects: Sequence[FoundEffect]) -> tuple[Finding, ...]:
-    """Return a finding for each effect; those that the model lacks are warnings, with the cure."""
-    return tuple(
-        Finding("effect_in_model", "info", f"In the model: {each.text}", joint=each.joint)
-        if each.in_model
-        else Finding(
-            "effect_found",
-            "warning",
-            f"Not in the model: {each.text}",
-            Cure("identify with it", {"effects": "auto"}),
-            joint=each.joint,
-        )
-        for each in effects
-    )

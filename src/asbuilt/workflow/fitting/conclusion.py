@@ -14,7 +14,8 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.drives.drive_choice import DriveChoice
-from asbuilt.identification.effects.found_effect import effect_findings, tilts
+from asbuilt.identification.effects.effect_findings import effect_findings
+from asbuilt.identification.effects.found_effect import tilts
 from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data

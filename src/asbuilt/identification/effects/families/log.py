@@ -24,6 +24,7 @@ class Clock(Effect):
     """Run the motion faster than logged by a share."""
 
     key, title, of_log = "clock", "wrong clock", True
+    least = 0.01
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the clock of the log."""
@@ -43,6 +44,8 @@ class Zero(Effect):
     """Log the positions of a joint too large [rad or m]."""
 
     key, title, of_log = "zero", "wrong zero position", True
+    least = 0.005
+    """A third of a degree, or 5 mm."""
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the zero position of each joint."""
@@ -65,6 +68,8 @@ class Gain(_AtEveryJoint):
     """Log the torques of a joint too large by a share."""
 
     key, title, of_log = "gain", "wrong torque gain", True
+    least = 0.03
+    """Accuracy of the gains that makers state."""
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the model."""
