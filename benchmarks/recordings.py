@@ -12,7 +12,6 @@ the plain fit, of the manufacturer's model and of CAD that stand in front are th
 from __future__ import annotations
 
 import argparse
-import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,7 +68,6 @@ STATED: dict[str, dict[tuple[str, str], tuple[float, ...]]] = {
 
 By case, then what they are of and the recording where there are several.
 """
-SPRINGS = re.compile(r"spring:joints=[\d/]+")
 """How a warning names springs that it suspects, from the data used alone."""
 HALF_A_DIGIT = 0.005
 """Stated errors have two decimals; an error up to this much larger is not above them."""
@@ -233,7 +231,11 @@ def rows(model: RobotModel, data: Path, case: Case, scratch: Path) -> Iterator[R
             "estimate" if way.mounting else "as_described"
         )
         chosen = StudyOptions(
-            method=way.method, drive=way.drive, holdout=case.holdout, mounting=mounting
+            method=way.method,
+            drive=way.drive,
+            holdout=case.holdout,
+            mounting=mounting,
+            effects="find",
         )
         try:
             study = identify(model, logs, validation=judges, options=chosen)
@@ -247,21 +249,13 @@ def rows(model: RobotModel, data: Path, case: Case, scratch: Path) -> Iterator[R
                 for each in study.validations
             )
             cad_shown = True
-        if not any(each.mounting for each in ways) and any(
-            warning.code == "base_tilt" for warning in result.findings
-        ):
+        named = [(each.effect, each.joint) for each in study.effects]
+        if ("tilt", None) in named and not any(each.mounting for each in ways):
             ways += [way._replace(mounting=True) for way in WAYS]
-        suspected = [
-            SPRINGS.search(warning.text)
-            for warning in result.findings
-            if warning.code == "spring_suspected"
-        ]
-        if (
-            suspected
-            and suspected[0] is not None
-            and not any("spring" in (each.drive or "") for each in ways)
-        ):
-            ways.append(Way("auto", f"auto,{suspected[0][0]}", any(each.mounting for each in ways)))
+        sprung = [model.joint_names.index(joint) + 1 for key, joint in named if key == "spring"]
+        if sprung and not any("spring" in (each.drive or "") for each in ways):
+            springs = f"auto,spring:joints={'/'.join(map(str, sorted(sprung)))}"
+            ways.append(Way("auto", springs, any(each.mounting for each in ways)))
         bodies = {
             True: REAL,
             False: f"**no** ({result.consistency_margin:.2g})",
