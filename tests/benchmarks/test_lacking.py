@@ -21,13 +21,20 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.drives.elastic_columns import elastic_columns
+from asbuilt.identification.drives.elastic_columns import elastic_columns as of_joint
 from asbuilt.identification.result.torque_prediction import all_parameters
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from lacking import COULOMB, LACKING, NOISE, logged, trial
 
 Columns = Callable[[Samples, np.ndarray], np.ndarray]
+
+
+def elastic_columns(model: RobotModel, chi: np.ndarray, samples: Samples) -> np.ndarray:
+    """Return the columns of all joints, (N, n, n)."""
+    state = np.stack([samples.q, samples.qd, samples.qdd])
+    joints = range(model.n_joints)
+    return np.stack([of_joint(model, chi, state, samples.rate, k) for k in joints], axis=-1)
 
 
 def plain(name: str) -> RobotModel:

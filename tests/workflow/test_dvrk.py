@@ -55,7 +55,9 @@ def test_errors_on_the_first_period_are_below_those_published(
         bundled_robot(f"dvrk-{arm}"),
         log(shared, tmp_path, arm, "one"),
         validation=log(shared, tmp_path, arm, "two", period),
-        options=StudyOptions(chain=SignalChain(cutoff=cutoff), holdout=None, method="wls"),
+        options=StudyOptions(
+            chain=SignalChain(cutoff=cutoff), holdout=None, method="wls", effects="none"
+        ),
     )
     (found,) = study.validations
     error = np.array(found.metrics_as_built.relative_error_per_joint)

@@ -215,7 +215,7 @@ def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
         shared,
         "ur10e.urdf",
         ["ur10e/ur-20_02_10-30sec_12harm.csv"],
-        StudyOptions(method="wls"),
+        StudyOptions(method="wls", effects="none"),
         validation=["ur10e/ur-20_02_12-40sec_12harm.csv", "ur10e/ur-20_01_17-ptp_10_points.csv"],
         sheet=sheet,
     )

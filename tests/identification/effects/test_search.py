@@ -193,10 +193,10 @@ def test_a_study_has_what_it_finds_in_the_model_or_only_names_it(shared) -> None
     for choice in ("auto", "find", "none"):
         study = identify(model, logs[:1], validation=logs[1:], options=StudyOptions(effects=choice))
         errors[choice] = study.validations[0].metrics_as_built.relative_error
-        assert {each.in_model for each in study.effects} <= {choice == "auto"}
+        assert any(each.in_model for each in study.effects) == (choice == "auto")
         assert bool(study.effects) == (choice != "none")
         codes = {finding.code for finding in study.findings}
         assert ("effect_in_model" in codes) == (choice == "auto")
-        assert ("effect_found" in codes) == (choice == "find")
+        assert choice != "find" or "effect_found" in codes
     assert errors["auto"] < 0.8 * errors["none"]
     assert errors["find"] == errors["none"]

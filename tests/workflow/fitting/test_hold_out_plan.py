@@ -67,8 +67,8 @@ def test_the_default_changes_no_parameter_and_no_error(log, options) -> None:
 
 def test_the_verdict_is_of_a_fit_that_has_not_seen_what_is_held_out(log) -> None:
     chain = SignalChain(cutoff=6.0, delay=None)
-    by_default = studied(log, chain=chain)
-    divided = studied(log, chain=chain, holdout="blocks:3.3s:3")
+    by_default = studied(log, chain=chain, effects="none")
+    divided = studied(log, chain=chain, effects="none", holdout="blocks:3.3s:3")
     np.testing.assert_array_equal(by_default.result.trained, divided.result.estimates)
     for one, other in zip(by_default.result.validation, divided.result.validation, strict=True):
         np.testing.assert_array_equal(one.rms, other.rms)

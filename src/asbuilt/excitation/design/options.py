@@ -152,7 +152,7 @@ class DesignOptions:
         0.95, "SHARE", "usable share of the limits of motion", range=Range(0, 1, above=True)
     )
     torque_fraction: float = option(
-        0.8, "SHARE", "usable share of the torque limits", range=Range(0, 1, above=True)
+        0.8, "SHARE", "usable share of the torque limits", range=Range(1e-3, 1)
     )
     power: tuple[float, ...] = option(
         (),

@@ -179,19 +179,20 @@ def _with_effects(
 ) -> tuple[RobotModel, DriveChoice, Mounting | None, tuple[FoundEffect, ...]]:
     """Return the robot with the effects that are wanted, its drive terms, and what was found.
 
-    Effects are chosen on the training part.
+    They are chosen on what the final fit uses, so that holding out by default changes no value; the
+    part that an explicit rule holds out is not used.
     """
-    wanted, samples = options.wanted_effects, prepared.training
+    wanted, samples = options.wanted_effects, prepared.whole or prepared.training
     drive = stated_drive(model, samples, options.drive)
     for term in wanted.drive.terms:
         drive = drive.with_term(term)
     mounting = None
     if options.mounting == "estimate" or wanted.tilt:
-        used, seconds = prepared.whole or samples, options.block_seconds
-        mounting = find_mounting(model, used, drive=drive, block_seconds=seconds)
+        seconds = options.block_seconds
+        mounting = find_mounting(model, samples, drive=drive, block_seconds=seconds)
         model = mounting.model
     effects = Effects(model, drive)
-    keys = _open_effects(options, samples[0].torque_source)
+    keys = _open_effects(model, options, samples[0].torque_source)
     if keys:
         effects = find_effects(model, drive, samples, keys=keys)
         if wanted.choice == "find":
@@ -201,15 +202,17 @@ def _with_effects(
     return effects.model, choice, mounting, effects.found
 
 
-def _open_effects(options: StudyOptions, source: str) -> set[str]:
+def _open_effects(model: RobotModel, options: StudyOptions, source: str) -> set[str]:
     """Return the keys of the effects that are neither stated nor unwanted.
 
-    Stated drive terms leave no others open. Where commands stand for torques, whose servo is
-    another unknown, drive terms are open only if that is asked for.
+    Drive terms that are stated, by the user or the description, leave no others open. Where
+    commands stand for torques, whose servo is another unknown, drive terms are open only if that is
+    asked for.
     """
     looking = options.wanted_effects.choice in ("auto", "find")
     keys = set(EFFECTS) if looking else set(drive_effects())
-    if isinstance(options.drive, DriveSet) or not (looking or options.drive):
+    stated = isinstance(options.drive, DriveSet) or (model.usual_drive and not options.drive)
+    if stated or not (looking or options.drive):
         keys -= set(drive_effects(by_construction=True))
     if options.mounting == "estimate":
         keys.discard(Tilt.key)
