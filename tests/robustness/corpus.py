@@ -370,8 +370,10 @@ def results(text: str) -> Iterator[tuple[str, str, bool]]:
     for name in ("sigma", "singular_values"):
         for value in (float("nan"), float("inf"), "1", None, [1.0], {}):
             spoilt = [value, *whole[name][1:]]
-            yield f"{name}[0] is {value}", edited(**{name: spoilt}), (
-                name == "sigma" and value is not None
+            yield (
+                f"{name}[0] is {value}",
+                edited(**{name: spoilt}),
+                (name == "sigma" and value is not None),
             )
     for value in (0.0, -1.0):
         yield f"sigma[0] is {value}", edited(sigma=[value, *whole["sigma"][1:]]), True

@@ -21,17 +21,16 @@ from asbuilt.tables import plus_minus
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """Hold the robot that effects are sought of: model, drive terms, values and torque source.
+    """Hold the robot whose effects are searched: model, drive terms, values and torque source.
 
-    `chi` are standard parameters near the recording, in the order of `drive`; `largest` (n,) the
-    torque that almost all samples keep, `speeds` the velocities recorded, each (N, n).
+    `chi` are standard parameters near the recording, in the order of `drive`, `speeds` the
+    velocities recorded, each (N, n).
     """
 
     model: RobotModel
     drive: DriveSet
     chi: Array
     source: str
-    largest: Array
     speeds: tuple[Array, ...]
 
 

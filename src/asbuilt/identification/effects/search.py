@@ -118,7 +118,6 @@ class _Search:
         self.model, self.drive, self.samples, self.keys = model, drive, samples, keys
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
-        self.largest = np.max([np.percentile(abs(s.tau), 99.5, axis=0) for s in samples], axis=0)
 
     def run(self) -> Effects:
         """Return the effects, found on a robot with the tilt that they have."""
@@ -129,7 +128,8 @@ class _Search:
         taken = path
         if first is not None:
             tilt, turned, selection, path = self._settled(first, selection)
-            taken = [_turned_by(first, tilt), *path]
+            both = selection.equations.candidates[selection.place_of(Tilt.key)]
+            taken = [_turned_by(first, tilt, both), *path]
         errors = of_tilt | _errors(selection, path)
         added = [
             each.candidate for each in path if each.candidate.effect.in_model and each is not first
@@ -207,7 +207,7 @@ class _Search:
         effect = design_effect(seen, fit)
         source = self.samples[0].torque_source
         speeds = tuple(each.qd for each in self.samples)
-        robot = Described(model, self.drive, fit.standard, source, self.largest, speeds)
+        robot = Described(model, self.drive, fit.standard, source, speeds)
         wanted = [each for each in EFFECTS.values() if self.keys is None or each.key in self.keys]
         equations = gather_equations(
             robot, base, self.samples, effects=wanted, block_seconds=self.seconds
@@ -264,13 +264,13 @@ def _errors(
     return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(added)}
 
 
-def _turned_by(first: Trial, tilt: Array) -> Trial:
+def _turned_by(first: Trial, tilt: Array, both: Candidate) -> Trial:
     """Return the tilt that was taken first with its final angles about both axes."""
     covariance = np.zeros((len(tilt),) * 2)
     felt = np.flatnonzero(tilt)
     if len(felt) == len(first.values):
         covariance[np.ix_(felt, felt)] = first.covariance
-    return replace(first, values=tilt, covariance=covariance)
+    return replace(first, candidate=both, values=tilt, covariance=covariance)
 
 
 def _about_axes(values: Array, tilt: Candidate, selection: Selection) -> Array:
