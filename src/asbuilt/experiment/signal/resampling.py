@@ -71,17 +71,6 @@ class Grid:
     rate: float
     notes: tuple[str, ...]
 
-    def same_times(self, other: Grid) -> bool:
-        """Return whether another grid makes the same rows of positions into the same segments."""
-        one, two = self.recording, other.recording
-        mine, theirs = ((each.rows, *(each.clocks or each.segments)) for each in (self, other))
-        return (
-            (one.t is two.t and one.q is two.q and one.qd is two.qd)
-            and (self.rate, self.clocks is None) == (other.rate, other.clocks is None)
-            and len(mine) == len(theirs)
-            and all(map(np.array_equal, mine, theirs))
-        )
-
     def uniform(self) -> list[UniformSegment]:
         """Return the segments."""
         recording = self._bridged(self.recording)

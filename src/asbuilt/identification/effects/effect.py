@@ -134,10 +134,3 @@ def effect(family: type[Effect]) -> type[Effect]:
     family.kind = family.kind or family.key
     EFFECTS.register(family.key, family())
     return family
-
-
-def at_joint(values: Array, joint: int, n_joints: int) -> Array:
-    """Return a column (L, n) with values (L,) at one joint, zero at the others."""
-    column = np.zeros((len(values), n_joints))
-    column[:, joint] = values
-    return column

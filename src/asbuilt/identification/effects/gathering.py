@@ -123,7 +123,6 @@ def gather_equations(
     plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=len(slots) + 1)
     candidates, own, size = _placed(variants, n, base)
     support = tuple(np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n))
-    kept = [np.flatnonzero(own[k] >= 0) for k in range(n)]
     grams: list[list[Array]] = [[] for _ in range(n)]
     counts: list[int] = []
     with one_blas_thread():
@@ -142,7 +141,6 @@ def gather_equations(
         [np.array(each) for each in grams],
         np.array(counts, dtype=np.int64),
         size,
-        kept,
     )
 
 
@@ -206,7 +204,6 @@ def _without_idle(
     grams: Sequence[Array],
     counts: Indices,
     size: int,
-    kept: Sequence[Indices],
 ) -> EffectEquations:
     """Return the equations without slots that a joint does not have."""
     places, own = [], []

@@ -82,14 +82,9 @@ class Trial:
     alternatives: tuple[Candidate, ...] = ()
 
     @property
-    def std_errors(self) -> Array:
-        """Standard errors of the values."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
     def relief_error(self) -> float:
         """Standard error of the mean relief."""
-        return float(self.relief.std(ddof=1) / np.sqrt(len(self.relief)))
+        return _error_of_mean(self.relief)
 
     @property
     def worth(self) -> float:
@@ -350,8 +345,13 @@ def _look_alike(taken: Trial, other: Trial) -> bool:
     As well: within one standard error of the paired differences.
     """
     lag = taken.relief - other.relief
-    error = float(lag.std(ddof=1)) / np.sqrt(len(lag))
-    return other.worth > RULES.alike * taken.worth and bool(lag.mean() <= error)
+    alike = bool(lag.mean() <= _error_of_mean(lag))
+    return alike and other.worth > RULES.alike * taken.worth
+
+
+def _error_of_mean(values: Array) -> float:
+    """Return the standard error of a mean."""
+    return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
 def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
