@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import Candidate, EffectEquations
 
 
@@ -74,11 +75,11 @@ class Trial:
     candidate: Candidate
     values: Array
     covariance: Array
-    p_value: float
-    relief: Array
-    gain: float
-    nearer: float
-    felt: float
+    p_value: float = 0.0
+    relief: Array = field(default_factory=lambda: np.zeros(0))
+    gain: float = 0.0
+    nearer: float = 0.0
+    felt: float = 0.0
     alternatives: tuple[Candidate, ...] = ()
 
     @property
@@ -91,7 +92,7 @@ class Trial:
         """Fall of the cost less what as many columns take away by chance."""
         return self.gain - len(self.values) * float(np.log(max(self.gain, 1.0)))
 
-    def is_taken(self, n_candidates: int) -> bool:
+    def is_taken(self, n_candidates: int, robot: Described) -> bool:
         """Return whether the effect is sure, and lowers the error on other motion or is imitated.
 
         Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
@@ -99,9 +100,7 @@ class Trial:
         """
         if self.p_value * n_candidates > RULES.level:
             return False
-        if self.felt < RULES.felt or np.linalg.norm(self.values) < self.candidate.effect.least:
-            return False
-        if self.candidate.effect.positive and not np.all(self.values > 0.0):
+        if self.felt < RULES.felt or not self.candidate.effect.is_possible(self.values, robot):
             return False
         mean, error = float(self.relief.mean()), self.relief_error
         predicts = mean > RULES.certain * error and mean > RULES.worth
@@ -148,15 +147,17 @@ class Selection:
         self._rms = np.sqrt(torque / max(int(equations.counts.sum()), 1))
         self._tiny = max(float(self._rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
 
-    def run(self, candidates: Sequence[Candidate]) -> list[Trial]:
+    def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
         path: list[Trial] = []
         before: list[Trial] = []
         while True:
             busy = {(each.effect.kind, each.joint) for each in self.taken}
-            left = [each for each in candidates if (each.effect.kind, each.joint) not in busy]
+            every = self.equations.candidates
+            left = [each for each in every if (each.effect.kind, each.joint) not in busy]
             n = len({each.at for each in left})
-            trials = [each for each in self.trials(left) if each.is_taken(n)]
+            robot = self.equations.robot
+            trials = [each for each in self.trials(left) if each.is_taken(n, robot)]
             if path:
                 path[-1] = _with_alternatives(path[-1], before, trials)
             if not trials or len(path) == RULES.most:
@@ -166,9 +167,13 @@ class Selection:
             self.taken.append(best.candidate)
             before = trials
 
-    def place_of(self, key: str) -> int:
-        """Return the number of the candidate of an effect of the whole robot."""
-        return next(j for j, each in enumerate(self.equations.candidates) if each.at == (key, None))
+    def every_place(self, candidate: Candidate) -> Indices:
+        """Return the positions of all parameters of a candidate, whether they act or not."""
+        return next(each for each in self.equations.candidates if each.at == candidate.at).places
+
+    def candidate(self, at: tuple[str, int | None]) -> Candidate:
+        """Return the first candidate of an effect at a joint, with what acts of it."""
+        return self.acting(next(each for each in self.equations.candidates if each.at == at))
 
     def acting(self, candidate: Candidate) -> Candidate:
         """Return a candidate with those of its parameters that act on this robot."""
@@ -192,6 +197,17 @@ class Selection:
         """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
         fit = self._fit(self._total, self._inside(self.taken), np.zeros(0, dtype=np.int64))
         return -fit.residual[:-1]
+
+    def covariance(self, taken: Candidate) -> Array:
+        """Return that of the values of a candidate that is taken, by the scatter of blocks."""
+        inside = self._inside([each for each in self.taken if each is not taken])
+        whole = self._fit(self._total, inside, taken.places)
+        d = np.linalg.solve(whole.schur, whole.score)
+        of_block = [
+            (whole.moves.T @ gram @ np.c_[whole.residual, whole.moves]) for gram in self._blocks
+        ]
+        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in of_block])
+        return _scatter(whole.schur, left, d)[0]
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
