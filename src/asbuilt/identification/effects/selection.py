@@ -121,6 +121,19 @@ class _Fit:
     score: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _HeldOut:
+    """Hold a fit without a group, its squared error there (n,), and how columns change that.
+
+    A change d of the columns adds `2 gradient @ d + d @ gram @ d`, with (n, c) and (n, c, c).
+    """
+
+    fit: _Fit
+    error: Array
+    gradient: Array
+    gram: Array
+
+
 class Selection:
     """Fit a model with effects toward CAD on groups of time blocks, and choose effects.
 
@@ -141,6 +154,13 @@ class Selection:
         self._groups = groups
         self._total = equations.stacked(weights)
         self._held = [equations.stacked(weights, group) for group in groups]
+        self._of_joints = [
+            [
+                (np.append(support, equations.n_parameters), gram[group].sum(axis=0))
+                for support, gram in zip(equations.support, equations.grams, strict=True)
+            ]
+            for group in groups
+        ]
         self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
         self.taken = list(taken)
         torque = np.array([gram[-1, -1] for gram in equations.of_joints])
@@ -257,12 +277,12 @@ class Selection:
         return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
 
     def _cost(self, inside: Indices) -> tuple[Array, float, float]:
-        """Return residuals of held-out groups, and squared error and distance from CAD of all."""
+        """Return squared errors of held-out groups (groups, n), and error and distance of all."""
         none = np.zeros(0, dtype=np.int64)
         held = np.array(
             [
-                x @ gram @ x
-                for gram in self._held
+                [x[places] @ own @ x[places] for places, own in joints]
+                for gram, joints in zip(self._held, self._of_joints, strict=True)
                 for x in (self._fit(self._total - gram, inside, none).residual,)
             ]
         )
@@ -284,16 +304,21 @@ class Selection:
             return []
         columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
-        parts: list[tuple[_Fit, Array, Array, float]] = []
-        for gram in self._held:
+        parts: list[_HeldOut] = []
+        for gram, joints in zip(self._held, self._of_joints, strict=True):
             fit = self._fit(self._total - gram, inside, columns)
-            H = gram @ fit.moves
-            error = float(fit.residual @ gram @ fit.residual)
-            parts.append((fit, fit.residual @ H, fit.moves.T @ H, error))
+            H = [(fit.residual[p], fit.moves[p], own @ fit.moves[p], own) for p, own in joints]
+            error = np.array([x @ own @ x for x, _, _, own in H])
+            gradient = np.array([x @ own for x, _, own, _ in H])
+            parts.append(
+                _HeldOut(fit, error, gradient, np.array([m.T @ own for _, m, own, _ in H]))
+            )
         by_block = np.array([whole.moves.T @ (gram @ whole.residual) for gram in self._blocks])
         of_block = np.array([whole.moves.T @ gram @ whole.moves for gram in self._blocks])
         size = np.sqrt(np.diag(self._total))
-        floor = np.finfo(np.float64).eps * np.array([gram[-1, -1] for gram in self._held])
+        floor = np.finfo(np.float64).eps * np.array(
+            [[own[-1, -1] for _, own in joints] for joints in self._of_joints]
+        )
         floor = floor + np.finfo(np.float64).tiny
         found = []
         for each, gain in gaining:
@@ -306,7 +331,8 @@ class Selection:
                 # That a term in place of another one is zero is no question: its gain is one.
                 p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
             held_after = np.array([_left_out(part, c, size[each.places]) for part in parts])
-            relief = np.log(np.maximum(held_before, floor) / np.maximum(held_after, floor))
+            ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
+            relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
             distance = self._distance(whole.residual + whole.moves[:, c] @ d)
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
             felt = float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny)))
@@ -396,9 +422,8 @@ def _scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
 
-def _left_out(part: tuple[_Fit, Array, Array, float], c: Indices, size: Array) -> float:
-    """Return the squared error on a held-out group of the fit with columns c to the others."""
-    fit, gradient, gram, error = part
-    own = fit.schur[np.ix_(c, c)]
-    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), fit.score[c])
-    return error + 2.0 * float(d @ gradient[c]) + float(d @ gram[np.ix_(c, c)] @ d)
+def _left_out(part: _HeldOut, c: Indices, size: Array) -> Array:
+    """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
+    own = part.fit.schur[np.ix_(c, c)]
+    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), part.fit.score[c])
+    return np.asarray(part.error + 2.0 * part.gradient[:, c] @ d + part.gram[:, c][:, :, c] @ d @ d)
