@@ -7,7 +7,6 @@ from .comparison.drift import Drift as Drift
 from .comparison.drift import compare_results as compare_results
 from .generalisation.cad_verdict import PredictionVerdict as PredictionVerdict
 from .generalisation.cad_verdict import cad_verdict as cad_verdict
-from .generalisation.missing_effects import missing_effects as missing_effects
 from .prediction import Validation as Validation
 from .prediction import validate_description as validate_description
 from .prediction import validate_samples as validate_samples

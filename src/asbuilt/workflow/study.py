@@ -232,7 +232,7 @@ def identify(
         concluded.validations,
         cutoffs,
         concluded.attribution,
-        effects=fits.effects,
+        effects=concluded.result.effects,
         refined=fits.refined,
     )
     if not options.rollout:

@@ -63,8 +63,9 @@ def test_a_spring_is_found_where_it_is_and_nowhere_else(trial, robot, joint, sti
     assert found.error_after < found.error_before
     assert case.model.joint_names[joint] in found.text
     assert effects.drive == DRIVE.with_term(*DriveSet.parse(f"spring:joints={joint + 1}").terms)
-    named = effects.named_only(case.model, DRIVE)
+    named = find_effects(case.model, DRIVE, [sprung(case, springs)], applied=())
     assert (named.drive, named.found[0].in_model) == (DRIVE, False)
+    assert named.lacking is not None
 
 
 def test_a_described_spring_and_too_short_a_recording_show_nothing(trial) -> None:
@@ -76,6 +77,7 @@ def test_a_described_spring_and_too_short_a_recording_show_nothing(trial) -> Non
     assert find_effects(case.model, described, [samples]).found == ()
     short = samples.between(samples.t[0], samples.t[0] + 2.0)
     assert find_effects(case.model, DRIVE, [short]).found == ()
+    assert "too few" in find_effects(case.model, DRIVE, [short]).problem
 
 
 def test_described_springs_stay_while_others_are_found(trial) -> None:
@@ -112,7 +114,7 @@ def test_a_curve_over_position_is_found_as_a_cable_beside_described_terms(trial)
 
 def test_terms_that_only_a_description_states_are_not_sought() -> None:
     model = load_robot("ur10e")
-    robot = Described(model, DRIVE, np.zeros(78), "sensor", (np.ones((9, 6)),))
+    robot = Described(model, DRIVE, np.zeros(78), "sensor", (np.ones((9, 6)),), np.ones(6))
     sought = {
         each.effect.key: each.n_columns for _, e in EFFECTS.items() for each in e.variants(robot)
     }

@@ -1,4 +1,4 @@
-"""The bias by omitted columns against least squares without them, and its shrinkage by sampling."""
+"""How estimates move with a bias, and its shrinkage by sampling."""
 
 from __future__ import annotations
 
@@ -8,22 +8,9 @@ from typing import Any
 import numpy as np
 
 from asbuilt.identification.errors.omitted_bias import (
-    follow_effects,
     moved_estimate,
     shrunken,
 )
-
-
-def test_parameters_follow_omitted_columns_as_least_squares_without_them_does() -> None:
-    rng = np.random.default_rng(0)
-    W, C = rng.normal(size=(80, 5)), rng.normal(size=(80, 2))
-    C += W[:, :2]
-    both = np.hstack([W, C])
-    tau = rng.normal(size=80)
-    full = np.linalg.lstsq(both, tau, rcond=None)[0]
-    short = np.linalg.lstsq(W, tau, rcond=None)[0]
-    follows = follow_effects(3.7 * np.linalg.inv(both.T @ both), 5)
-    np.testing.assert_allclose(full[:5] + follows @ full[5:], short, rtol=1e-10, atol=1e-12)
 
 
 def test_a_regularised_estimate_moves_as_its_own_normal_equations_do() -> None:

@@ -117,6 +117,10 @@ class Effect(ABC):
     """Step [rad, m or share] after which the next is of its square."""
     farthest: ClassVar[float] = np.inf
     """Largest size that a robot in use can have."""
+    shown: ClassVar[float] = 0.0
+    """Size that every log should show; 0: none need be said to be unseen."""
+    cure_of_unseen: ClassVar[Cure | None] = None
+    """What to do where a log does not show it."""
     starts: ClassVar[tuple[float, ...]] = ()
     """Values from which on it may be sought, too, where it can be off by factors."""
 
@@ -129,14 +133,18 @@ class Effect(ABC):
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return the size with its standard error and unit as text."""
-        size, error, unit = self.size(values, covariance, revolute=revolute)
-        return f"{plus_minus(size, error)} {unit}".rstrip()
+        size, error, _ = self.size(values, covariance, revolute=revolute)
+        return self.text_of(size, error, revolute=revolute)
+
+    def text_of(self, size: float, error: float | None, *, revolute: bool) -> str:
+        """Return a size with its standard error, if any, and unit as text."""
+        return f"{plus_minus(size, error)} {self.unit(revolute)}".rstrip()
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of its size at a revolute or prismatic joint."""
         return ""
 
-    def is_possible(self, values: Array, robot: Described) -> bool:
+    def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
         """Return whether a robot in use can have these values, large enough to matter."""
         size = float(np.linalg.norm(values))
         positive = not self.positive or bool(np.all(values > 0.0))

@@ -2,30 +2,85 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
+import numpy as np
+
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import available_terms
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.search import Effects
+from asbuilt.tables import significant
 
 APPLY = Cure("identify with it", {"effects": "auto"})
-CORRECT = Cure("check the log, and correct it in a recording sheet")
 
 
-def effect_findings(effects: Sequence[FoundEffect]) -> tuple[Finding, ...]:
-    """Return a finding for each effect: a warning where something can be done about it."""
-    return tuple(_finding(each) for each in effects)
+def effect_findings(effects: Effects) -> tuple[Finding, ...]:
+    """Return a finding for each effect, and what the log would not show."""
+    if effects.problem:
+        return (
+            Finding(
+                "effects_not_sought",
+                "warning",
+                f"Whether something acts that the description lacks was not asked:"
+                f" {effects.problem}",
+                Cure("record longer, and several motions"),
+            ),
+        )
+    return (
+        *(_finding(each, effects.model) for each in effects.found),
+        *_unseen(effects),
+    )
 
 
-def _finding(each: FoundEffect) -> Finding:
+def _finding(each: FoundEffect, model: RobotModel) -> Finding:
     if each.in_model:
         return Finding("effect_in_model", "info", f"In the model: {each.text}", joint=each.joint)
     effect, message = EFFECTS[each.effect], f"Not in the model: {each.text}"
-    if each.effect in available_terms() and not effect.in_model:
+    if effect.in_model:
+        return Finding("effect_found", "warning", message, APPLY, joint=each.joint)
+    if each.effect in available_terms():
         cure = Cure("if the robot has one, state it", {"effects": f"{each.effect}:joints=NUMBER"})
         return Finding("effect_found", "info", message, cure, joint=each.joint)
-    if effect.in_model or effect.of_log:
-        cure = APPLY if effect.in_model else CORRECT
-        return Finding("effect_found", "warning", message, cure, joint=each.joint)
-    return Finding("effect_found", "info", message, joint=each.joint)
+    return effect.finding(each, model)
+
+
+def _unseen(effects: Effects) -> Iterator[Finding]:
+    """Say which errors of the log, larger than any log should hide, this one does not show."""
+    named = {(each.effect, each.joint) for each in effects.found}
+    for key, each in EFFECTS.items():
+        rows = [
+            (size, joint)
+            for (own, joint), size in effects.unseen.items()
+            if own == key and size > each.shown and (key, _name(effects, joint)) not in named
+        ]
+        if rows:
+            yield Finding(
+                f"{key}_unseen",
+                "info",
+                f"A {each.title} would not show in this log {_sizes(effects, key, rows)}: other"
+                " parameters take its place",
+                each.cure_of_unseen,
+            )
+
+
+def _sizes(effects: Effects, key: str, rows: list[tuple[float, int | None]]) -> str:
+    """Return the sizes by joint as text, those of any size last."""
+    sized, never = list[str](), list[str]()
+    for size, joint in rows:
+        at = "" if joint is None else f" at {_name(effects, joint)}"
+        if not np.isfinite(size):
+            never.append(at.removeprefix(" at "))
+            continue
+        revolute = joint is None or effects.model.joints[joint].is_revolute
+        text = EFFECTS[key].text_of(float(significant(size, 2)), None, revolute=revolute)
+        sized.append(f"below {text}{at}")
+    if never:
+        sized.append("of any size" + (f" at {joined(never)}" if any(never) else ""))
+    return joined(sized)
+
+
+def _name(effects: Effects, joint: int | None) -> str | None:
+    return None if joint is None else effects.model.joint_names[joint]

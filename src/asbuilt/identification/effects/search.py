@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,8 @@ from asbuilt.identification.effects.effect import EFFECTS, Described, Effect
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.found_effect import FoundEffect, improvement
 from asbuilt.identification.effects.gathering import Candidate, gather_equations
-from asbuilt.identification.effects.selection import Prior, Selection, Trial
+from asbuilt.identification.effects.lacking import Lacking
+from asbuilt.identification.effects.selection import RULES, Prior, Selection, Trial
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
@@ -46,8 +47,6 @@ class SearchLimits:
     longest: float = 5.0
     fewest_groups: int = 3
     """Groups of different motion below which held-out errors have no usable standard error."""
-    named: float = 0.03
-    """Share of the torque error that effects which no model has must take away to be named."""
     rounds: int = 8
     """Passes for effects that are taken out."""
     tried: int = 3000
@@ -65,18 +64,26 @@ LIMITS = SearchLimits()
 class Effects:
     """Hold what was found, the robot and drive terms with it, and what of them was fitted.
 
-    `problem` says why nothing was looked for.
+    `lacking` is what the model lacks still, `unseen` the size below which an effect at a joint
+    would not be sure; `problem` says why nothing was looked for.
     """
 
     model: RobotModel
     drive: DriveSet
     found: tuple[FoundEffect, ...] = ()
     fitted: tuple[NonlinearPlace, ...] = ()
+    lacking: Lacking | None = None
+    unseen: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
     problem: str = ""
 
-    def named_only(self, model: RobotModel, drive: DriveSet) -> Effects:
-        """Return the same effects beside a robot without them."""
-        return Effects(model, drive, tuple(replace(each, in_model=False) for each in self.found))
+    def beside_plateaus(self, joints: Collection[str]) -> Effects:
+        """Return these without errors of the log at joints whose torque is known to saturate."""
+        kept = [
+            each
+            for each in self.found
+            if each.joint not in joints or not EFFECTS[each.effect].of_log
+        ]
+        return replace(self, found=tuple(kept))
 
 
 def find_effects(
@@ -85,6 +92,7 @@ def find_effects(
     samples: Sequence[Samples],
     *,
     keys: Collection[str] | None = None,
+    applied: Collection[str] | None = None,
 ) -> Effects:
     """Find the effects that a description lacks, and add them to its model.
 
@@ -98,10 +106,13 @@ def find_effects(
         The robot as described, and its drive terms.
     samples
         Samples of one or more recordings.
-    keys
-        Keys of the effects that are looked for; None: all that a model can have.
+    keys, applied
+        Keys of the effects that are looked for, and of those that may become part of the model;
+        None: all that there are, and all that models can have.
     """
-    search = _Search(model, drive, _thinned(samples, LIMITS.samples), keys)
+    wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
+    own = {e.key for e in wanted if e.in_model and (applied is None or e.key in applied)}
+    search = _Search(model, drive, _thinned(samples, LIMITS.samples), wanted, own)
     try:
         with one_blas_thread():
             return search.run()
@@ -131,10 +142,11 @@ class _Search:
         model: RobotModel,
         drive: DriveSet,
         samples: Sequence[Samples],
-        keys: Collection[str] | None,
+        wanted: Sequence[Effect],
+        applied: Collection[str],
     ) -> None:
         self.model, self.drive, self.samples = model, drive, samples
-        self.wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
+        self.wanted, self.applied = wanted, applied
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
 
@@ -147,7 +159,7 @@ class _Search:
             after = selection.held_out_error(selection.taken)
             removed = [replace(each, errors=(before, after)) for each in removed]
         path = selection.run()
-        while (first := _to_remove(path, removed)) is not None:
+        while (first := self._to_remove(path, removed)) is not None:
             own = first.candidate
             values, errors = _whole(first.values, own, selection), _errors(selection, path)[own.at]
             new = _Removed(own.at, values, errors, first.alternatives)
@@ -156,16 +168,49 @@ class _Search:
         errors = _errors(selection, path)
         removed = [_advanced(each, selection) for each in removed]
         taken = [(_trial_of(each, selection), each.errors) for each in removed]
-        taken += [(each, own) for each in path if _matters(each, own := errors[each.candidate.at])]
-        added = [each.candidate for each in path if each.candidate.effect.in_model]
-        turned, _ = self._without([each for each in removed if each.effect.in_model])
+        taken += [(each, errors[each.candidate.at]) for each in path]
+        added = [each.candidate for each in path if each.candidate.effect.key in self.applied]
+        turned, _ = self._without([each for each in removed if each.at[0] in self.applied])
         drive, fitted, undetermined = self._fitted(turned, added)
         found = tuple(
             self._found(trial, selection, of_trial)
             for trial, of_trial in taken
-            if trial.candidate.at not in undetermined
+            if trial.candidate.at not in undetermined and self._matters(trial, of_trial)
         )
-        return Effects(turned, drive, found, fitted)
+        out = [each for each in selection.taken if each not in added]
+        known = {each.at: _acting(each, selection) for each in removed}
+        lacking = Lacking.of(selection, out, known)
+        unseen = {
+            each.at: max(selection.smallest_seen(each), each.effect.least)
+            for each in selection.equations.candidates
+            if each.effect.shown
+        }
+        return Effects(turned, drive, found, fitted, lacking, unseen)
+
+    def _to_remove(self, path: Sequence[Trial], removed: Sequence[_Removed]) -> Trial | None:
+        """Return what is taken out next: what the model can have, or what the log shows first."""
+        done = {each.at for each in removed}
+        return next(
+            (
+                each
+                for j, each in enumerate(path)
+                if each.candidate.effect.removable
+                and (each.candidate.effect.in_model or j == 0)
+                and each.candidate.at not in done
+            ),
+            None,
+        )
+
+    def _matters(self, trial: Trial, errors: tuple[float, float]) -> bool:
+        """Return whether an effect is named: in the model, or much of the torque error.
+
+        An error of the log at a joint of small torques is named if it lowers that joint's error.
+        """
+        before, after = errors
+        effect = trial.candidate.effect
+        falls = after < (1.0 - 0.5 * RULES.named) * before
+        of_log = effect.of_log and (not trial.relief.size or trial.relief.mean() > RULES.named)
+        return effect.key in self.applied or falls or of_log
 
     def _far_off(self) -> list[_Removed]:
         """Return the effect that is off by a factor from which on the robot is fitted better."""
@@ -264,7 +309,7 @@ class _Search:
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
-        selection = Selection(equations, cad, fit.weights, groups)
+        selection = Selection(equations, cad, fit.weights, groups, self.applied)
         selection.taken = [selection.candidate(each.at) for each in removed]
         return selection
 
@@ -287,7 +332,7 @@ class _Search:
             estimate=size,
             std_error=error,
             unit=unit,
-            in_model=effect.in_model,
+            in_model=effect.key in self.applied,
             torque=selection.torque_of(trial),
             error_before=before,
             error_after=after,
@@ -309,21 +354,6 @@ def _errors(
     return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(added)}
 
 
-def _to_remove(path: Sequence[Trial], removed: Sequence[_Removed]) -> Trial | None:
-    """Return what is to be taken out next: what a model can have, or what the log shows first."""
-    done = {each.at for each in removed}
-    return next(
-        (
-            each
-            for j, each in enumerate(path)
-            if each.candidate.effect.removable
-            and (each.candidate.effect.in_model or (j == 0 and not removed))
-            and each.candidate.at not in done
-        ),
-        None,
-    )
-
-
 def _advanced(removed: _Removed, selection: Selection) -> _Removed:
     """Return an effect with the values that leave nothing of it, to first order."""
     own = next(each for each in selection.taken if each.at == removed.at)
@@ -337,13 +367,19 @@ def _advanced(removed: _Removed, selection: Selection) -> _Removed:
     return found
 
 
+def _acting(removed: _Removed, selection: Selection) -> Array:
+    """Return the values of an effect that act on this robot."""
+    own = next(each for each in selection.taken if each.at == removed.at)
+    return removed.values[np.isin(selection.every_place(own), own.places)]
+
+
 def _trial_of(removed: _Removed, selection: Selection) -> Trial:
     """Return an effect that is taken out, with its errors as beside all others."""
     own = next(each for each in selection.taken if each.at == removed.at)
     covariance = np.zeros((len(removed.values),) * 2)
     acts = np.flatnonzero(_whole(np.ones(len(own.places)), own, selection))
     slope = 1.0 + float(removed.values[0]) if removed.effect.of_shares else 1.0
-    covariance[np.ix_(acts, acts)] = slope**2 * selection.covariance(own)
+    covariance[np.ix_(acts, acts)] = slope**2 * selection.values_of([own])[1]
     return Trial(
         replace(own, places=selection.every_place(own)),
         removed.values,
@@ -358,17 +394,6 @@ def _whole(values: Array, own: Candidate, selection: Selection) -> Array:
     found = np.zeros(len(places))
     found[np.isin(places, own.places)] = values
     return found
-
-
-def _matters(trial: Trial, errors: tuple[float, float]) -> bool:
-    """Return whether an effect is worth naming: in the model, or much of the torque error.
-
-    An error of the log at a joint of small torques is named if it lowers the weighted error so much.
-    """
-    before, after = errors
-    effect, worth = trial.candidate.effect, float(np.log1p(-LIMITS.named))
-    falls = after < (1.0 - LIMITS.named) * before
-    return effect.in_model or falls or (effect.of_log and trial.relief.mean() > -2.0 * worth)
 
 
 def _described(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,11 +30,16 @@ class SelectionRules:
     felt: float = 1e-3
     """Share of the torque of some joint below which nothing is worth a term: models of arms are
     not more exact."""
+    named: float = 0.06
+    """Fall of the logarithm of the squared error on other motion, mean over joints, from which on
+    an effect that the model has not is named: 3 % of the torque error."""
     imitated: float = 10.0
     """Fall of the cost, in its unit, that bodies nearer to CAD must be worth where the held-out
     error does not fall: they imitated the effect. 4.5 standard errors."""
     alike: float = 0.5
     """Share of the fall of the cost from which on another effect is a look-alike."""
+    shown: float = 1e-3
+    """Squared part of a column outside all others below which a log does not show an effect."""
     separate: float = 1e-6
     """Squared part of a column outside all others below which nothing can be said of it."""
     acting: float = 1e-18
@@ -92,15 +97,19 @@ class Trial:
         """Fall of the cost less what as many columns take away by chance."""
         return self.gain - len(self.values) * float(np.log(max(self.gain, 1.0)))
 
+    def is_sure(self, n_candidates: int, robot: Described) -> bool:
+        """Return whether the effect is no chance, is felt, and has a size that robots have."""
+        sure = self.p_value * n_candidates <= RULES.level and self.felt >= RULES.felt
+        own = self.candidate
+        return sure and own.effect.is_possible(self.values, own.joint, robot)
+
     def is_taken(self, n_candidates: int, robot: Described) -> bool:
         """Return whether the effect is sure, and lowers the error on other motion or is imitated.
 
         Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
         motion is predicted no worse.
         """
-        if self.p_value * n_candidates > RULES.level:
-            return False
-        if self.felt < RULES.felt or not self.candidate.effect.is_possible(self.values, robot):
+        if not self.is_sure(n_candidates, robot):
             return False
         mean, error = float(self.relief.mean()), self.relief_error
         predicts = mean > RULES.certain * error and mean > RULES.worth
@@ -147,9 +156,12 @@ class Selection:
         prior: Prior,
         weights: Array,
         groups: Sequence[Indices],
-        taken: Sequence[Candidate] = (),
+        applied: Collection[str],
     ) -> None:
-        """Take the equations, the prior, weights of the joints (n,) and groups of blocks."""
+        """Take the equations, the prior, weights of the joints (n,), groups of blocks, and keys.
+
+        `applied` are the keys of effects that may become part of the model.
+        """
         self.equations, self.prior, self.weights = equations, prior, weights
         self._groups = groups
         self._total = equations.stacked(weights)
@@ -162,7 +174,10 @@ class Selection:
             for group in groups
         ]
         self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
-        self.taken = list(taken)
+        self.taken: list[Candidate] = []
+        self.applied = applied
+        self.unsure: list[Trial] = []
+        """Effects that are sure, but not beside CAD and on other motion."""
         torque = np.array([gram[-1, -1] for gram in equations.of_joints])
         self._rms = np.sqrt(torque / max(int(equations.counts.sum()), 1))
         self._tiny = max(float(self._rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
@@ -177,15 +192,25 @@ class Selection:
             left = [each for each in every if (each.effect.kind, each.joint) not in busy]
             n = len({each.at for each in left})
             robot = self.equations.robot
-            trials = [each for each in self.trials(left) if each.is_taken(n, robot)]
+            sure = [each for each in self.trials(left) if each.is_sure(n, robot)]
+            trials = [each for each in sure if each.is_taken(n, robot)]
             if path:
                 path[-1] = _with_alternatives(path[-1], before, trials)
             if not trials or len(path) == RULES.most:
+                self.unsure = sure
                 return path
-            best = _preferred(max(trials, key=lambda each: each.worth), trials)
+            best = self._preferred(max(trials, key=lambda each: each.worth), trials)
             path.append(best)
             self.taken.append(best.candidate)
             before = trials
+
+    def _preferred(self, best: Trial, trials: Sequence[Trial]) -> Trial:
+        """Return a look-alike that the model may have, where it may not have the best."""
+        own = [each for each in trials if each.candidate.effect.key in self.applied]
+        alike = [each for each in own if _look_alike(best, each)]
+        if best in own or not alike:
+            return best
+        return max(alike, key=lambda each: each.worth)
 
     def every_place(self, candidate: Candidate) -> Indices:
         """Return the positions of all parameters of a candidate, whether they act or not."""
@@ -218,16 +243,33 @@ class Selection:
         fit = self._fit(self._total, self._inside(self.taken), np.zeros(0, dtype=np.int64))
         return -fit.residual[:-1]
 
-    def covariance(self, taken: Candidate) -> Array:
-        """Return that of the values of a candidate that is taken, by the scatter of blocks."""
-        inside = self._inside([each for each in self.taken if each is not taken])
-        whole = self._fit(self._total, inside, taken.places)
-        d = np.linalg.solve(whole.schur, whole.score)
-        of_block = [
-            (whole.moves.T @ gram @ np.c_[whole.residual, whole.moves]) for gram in self._blocks
-        ]
-        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in of_block])
-        return _scatter(whole.schur, left, d)[0]
+    def values_of(self, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
+        """Return values of candidates beside all others taken, and their covariance.
+
+        The covariance is that by the scatter of time blocks.
+        """
+        beside = [each for each in self.taken if all(each is not own for own in candidates)]
+        places = np.concatenate([each.places for each in candidates])
+        whole = self._fit(self._total, self._inside(beside), places)
+        d = np.asarray(np.linalg.solve(whole.schur, whole.score))
+        both = np.column_stack([whole.residual, whole.moves])
+        blocks = [whole.moves.T @ gram @ both for gram in self._blocks]
+        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in blocks])
+        return d, _scatter(whole.schur, left, d)[0]
+
+    def smallest_seen(self, candidate: Candidate) -> float:
+        """Return the value from which on one parameter would be sure, infinite if none would."""
+        own = self.acting(candidate)
+        if not own.places.size:
+            return 0.0
+        fit = self._fit(self._total, self._inside(self.taken), own.places)
+        length = float(self._total[own.places[0], own.places[0]])
+        if float(fit.schur[0, 0]) < RULES.shown * length:
+            return np.inf
+        n = int(np.sum(self.weights > 0.0))
+        of_joint = float(fit.residual @ self._total @ fit.residual) / n
+        felt = of_joint * np.expm1(n * RULES.named)
+        return float(np.sqrt(max(2.0 * self.prior.effect * RULES.imitated, felt) / fit.schur[0, 0]))
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
@@ -371,14 +413,6 @@ class Selection:
             if gain >= RULES.sure * len(c):
                 found.append((each, gain))
         return found
-
-
-def _preferred(best: Trial, trials: Sequence[Trial]) -> Trial:
-    """Return a look-alike that the model can have, where it cannot have the best."""
-    alike = [t for t in trials if t.candidate.effect.in_model and _look_alike(best, t)]
-    if best.candidate.effect.in_model or not alike:
-        return best
-    return max(alike, key=lambda each: each.worth)
 
 
 def _look_alike(taken: Trial, other: Trial) -> bool:

@@ -37,23 +37,10 @@ class OmittedBias:
 
     @property
     def sentence(self) -> str:
-        """A note that names the effects."""
-        return f"Standard errors include the bias by effects that the model lacks: {self.effects}."
-
-
-def follow_effects(covariance: Array, n_base: int) -> Array:
-    """Return the change (p, m) of p parameters per unit of m omitted effects.
-
-    `covariance` (p + m, p + m) is that of a fit with the effects, their places last. Without them
-    the parameters change by `(W^T W)^-1 W^T C = -V_pm V_mm^-1` (Frisch and Waugh, Econometrica 1,
-    1933). Undetermined effects change nothing.
-
-    >>> C = np.linalg.inv(np.array([[2.0, 1.0], [1.0, 3.0]]))
-    >>> follow_effects(C, 1).round(3).tolist()
-    [[0.5]]
-    """
-    own, across = covariance[n_base:, n_base:], covariance[:n_base, n_base:]
-    return np.asarray(-across @ np.linalg.pinv(own, hermitian=True))
+        """A note that names the effects, empty if all are in the model."""
+        if not self.effects:
+            return ""
+        return f"Standard errors include the bias by what the model may lack: {self.effects}."
 
 
 def shrunken(effects: Array, covariance: Array, size: Array) -> tuple[Array, Array]:

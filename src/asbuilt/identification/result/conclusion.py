@@ -96,7 +96,7 @@ def conclude(
     if omitted is not None:
         further_errors.append(omitted.covariance)
         free_errors.append(omitted.free_covariance)
-        notes = (*notes, omitted.sentence)
+        notes = (*notes, *([omitted.sentence] if omitted.sentence else []))
     if further_errors:
         beside, scatter = np.sum(further_errors, axis=0), uncertainty.scatter
         uncertainty = replace(

@@ -14,7 +14,7 @@ from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
 from asbuilt.validation.generalisation.standstill import RestingErrors, resting_errors
-from asbuilt.validation.log_errors.unexplained import when_large
+from asbuilt.validation.generalisation.unexplained import when_large
 from asbuilt.validation.prediction import Validation
 
 

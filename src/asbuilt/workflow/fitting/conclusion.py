@@ -14,8 +14,10 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.drives.drive_choice import DriveChoice
+from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.effect_findings import effect_findings
 from asbuilt.identification.effects.found_effect import tilts
+from asbuilt.identification.effects.search import Effects
 from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
@@ -26,17 +28,12 @@ from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.consolidation import consolidated
-from asbuilt.validation.generalisation.effect_bias import with_effects
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
 )
-from asbuilt.validation.generalisation.missing_effects import (
-    confirmed_effects,
-    missing_effect_findings,
-)
-from asbuilt.validation.log_errors.log_error_text import log_error_findings
-from asbuilt.validation.log_errors.unexplained import unexplained_findings
+from asbuilt.validation.generalisation.plateaus import plateau_findings
+from asbuilt.validation.generalisation.unexplained import unexplained_findings
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import delay_findings
@@ -81,6 +78,8 @@ def conclude_study(
     trained, validations = fits.predicted(fits.samples), fits.judged(held)
     cause_data, too_short = _cause_data(fits, options.block_seconds)
     train, train_cad = _together(fits, trained)
+    wanted = options.wanted_effects.choice != "none"
+    named = fits.effects.found if wanted else ()
     conclude = partial(
         Fit.concluded,
         train=train,
@@ -94,14 +93,12 @@ def conclude_study(
         notes=_notes(fits, cutoffs),
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
-        corrected=("mounting",) if fits.mounting is not None or tilts(fits.effects) else (),
-        effects=fits.effects,
+        corrected=("mounting",) if fits.mounting is not None or tilts(fits.effects.found) else (),
+        effects=named,
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
-    result = conclude(fits.final)
-    effects = confirmed_effects(result, fits.samples, block_seconds=options.block_seconds)
-    final = with_effects(fits.final, fits.samples, effects, block_seconds=options.block_seconds)
-    result = result if final.omitted is None else conclude(final)
+    lacking = fits.effects.lacking
+    result = conclude(replace(fits.final, omitted=lacking and lacking.bias(fits.final)))
     attribution = None if cause_data is None else attribute(result)
     findings = (
         *result.findings,
@@ -117,7 +114,6 @@ def conclude_study(
         *too_short,
         *unexplained_findings(trained),
         *_model_findings(fits, result, attribution, options),
-        *missing_effect_findings(result, effects, counted=final.omitted is not None),
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )
@@ -146,13 +142,8 @@ def _model_findings(
     """Return what the samples say against the model: effects and causes that it lacks."""
     prepared = fits.prepared
     return (
-        *effect_findings(fits.effects),
-        *log_error_findings(
-            result,
-            fits.samples if fits.servo is None else (),
-            mounting=fits.mounting,
-            block_seconds=options.block_seconds,
-        ),
+        *plateau_findings(fits.model, fits.plateaus),
+        *_effect_findings(fits.effects, options),
         *_gain_findings(fits.samples),
         *position_noise_findings(
             result,
@@ -164,6 +155,13 @@ def _model_findings(
         *refinement_findings(fits.refined),
         *(cause_findings(attribution) if _has_masses(fits.model) else ()),
     )
+
+
+def _effect_findings(effects: Effects, options: StudyOptions) -> tuple[Finding, ...]:
+    """Return what is said of effects: of errors of the log even where no effects are wanted."""
+    wanted = options.wanted_effects.choice != "none"
+    own = [each for each in effects.found if wanted or EFFECTS[each.effect].of_log]
+    return effect_findings(replace(effects, found=tuple(own)))
 
 
 def _has_masses(model: RobotModel) -> bool:

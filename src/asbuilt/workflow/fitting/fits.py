@@ -19,10 +19,10 @@ from asbuilt.identification.drives.drive_choice import (
 )
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
-from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
+from asbuilt.validation.generalisation.plateaus import Plateau, plateaus, without_plateaus
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
@@ -55,6 +55,8 @@ class Fits:
         The direction of gravity, if that was asked for (on all samples of the final fit).
     effects
         What the recordings show and the description lacks.
+    plateaus
+        Torques that saturate.
     servo, refined
         The position servo and the refinement, if any.
     """
@@ -65,7 +67,8 @@ class Fits:
     validated: Fit
     choice: DriveChoice
     mounting: Mounting | None
-    effects: tuple[FoundEffect, ...]
+    effects: Effects
+    plateaus: tuple[Plateau, ...]
     servo: ServoEstimate | None
     refined: Refined | None
 
@@ -133,7 +136,7 @@ def _fitted(
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
-    model, choice, mounting, effects = _with_effects(model, prepared, options)
+    model, choice, mounting, effects, flat = _with_effects(model, prepared, options)
 
     def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
@@ -154,7 +157,8 @@ def _fitted(
     if options.refine is None:
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
-        return Fits(model, prepared, final, validated, choice, mounting, effects, servo, None)
+        found = (choice, mounting, effects, flat)
+        return Fits(model, prepared, final, validated, *found, servo, None)
     found = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,
@@ -169,14 +173,13 @@ def _fitted(
     if found.servo is not None:
         late = tuple((each.source, each.digest) for each in prepared.delay)
         prepared = replace(prepared, delay=delays_of(found.servo, late))
-    return Fits(
-        model, prepared, found.fit, found.fit, choice, mounting, effects, found.servo, found.refined
-    )
+    given = (choice, mounting, effects, flat)
+    return Fits(model, prepared, found.fit, found.fit, *given, found.servo, found.refined)
 
 
 def _with_effects(
     model: RobotModel, prepared: Prepared, options: StudyOptions
-) -> tuple[RobotModel, DriveChoice, Mounting | None, tuple[FoundEffect, ...]]:
+) -> tuple[RobotModel, DriveChoice, Mounting | None, Effects, tuple[Plateau, ...]]:
     """Return the robot with the effects that are wanted, its drive terms, and what was found.
 
     They are chosen on what the final fit uses, so that holding out by default changes no value; the
@@ -192,31 +195,30 @@ def _with_effects(
         mounting = find_mounting(model, samples, drive=drive, block_seconds=seconds)
         model = mounting.model
     effects = Effects(model, drive)
-    keys = _open_effects(model, options, samples[0].torque_source)
-    if keys:
-        effects = find_effects(model, drive, samples, keys=keys)
-        if wanted.choice == "find":
-            effects = effects.named_only(model, drive)
+    flat: tuple[Plateau, ...] = ()
+    if samples[0].torque_source != "command" or isinstance(options.drive, str):
+        flat = plateaus(model, drive, samples, options.block_seconds)
+        keys = set(EFFECTS) - ({Tilt.key} if mounting else set())
+        applied = _open_effects(model, options)
+        clean = without_plateaus(samples, flat)
+        effects = find_effects(model, drive, clean, keys=keys, applied=applied)
+        effects = effects.beside_plateaus({model.joint_names[each.joint] for each in flat})
     choice = settle_nonlinear(effects.model, samples, effects.drive)
     choice = replace(choice, fitted=(*effects.fitted, *choice.fitted))
-    return effects.model, choice, mounting, effects.found
+    return effects.model, choice, mounting, effects, flat
 
 
-def _open_effects(model: RobotModel, options: StudyOptions, source: str) -> set[str]:
-    """Return the keys of the effects that are neither stated nor unwanted.
+def _open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
+    """Return the keys of the effects that may become part of the model.
 
-    Drive terms that are stated, by the user or the description, leave no others open. Where
-    commands stand for torques, whose servo is another unknown, drive terms are open only if that is
-    asked for.
+    Drive terms that are stated, by the user or the description, leave no others open.
     """
-    looking = options.wanted_effects.choice in ("auto", "find")
-    keys = set(EFFECTS) if looking else set(drive_effects())
+    every = options.wanted_effects.choice == "auto"
+    keys = set(EFFECTS) if every else set(drive_effects())
     stated = isinstance(options.drive, DriveSet) or (model.usual_drive and not options.drive)
-    if stated or not (looking or options.drive):
+    if stated or not (every or options.drive):
         keys -= set(drive_effects(by_construction=True))
-    if options.mounting == "estimate":
-        keys.discard(Tilt.key)
-    return keys if source != "command" or isinstance(options.drive, str) else set()
+    return keys
 
 
 def _predicted(fit: Fit, samples: Samples) -> Validation:

@@ -107,7 +107,7 @@ def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
 
     Directions, and zeros by quarters of a turn, are tried for one joint more as long as the misfit
     falls decisively, and positions keep their limits. Small errors of a zero are those of
-    `asbuilt.validation.log_errors`.
+    `asbuilt.identification.effects`.
     """
     if not _doubtful(fit):
         return None

@@ -30,12 +30,11 @@ samples left out, another unit."""
 class _OfLog(Effect):
     of_log = True
 
-    def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
+    def text_of(self, size: float, error: float | None, *, revolute: bool) -> str:
         """Return the size with its standard error and unit, shares in percent."""
         if not self.of_shares:
-            return super().size_text(values, covariance, revolute=revolute)
-        size, error, _ = self.size(values, covariance, revolute=revolute)
-        return f"{plus_minus(100.0 * size, 100.0 * error)} %"
+            return super().text_of(size, error, revolute=revolute)
+        return f"{plus_minus(100.0 * size, None if error is None else 100.0 * error)} %"
 
 
 class _OfTorque(_OfLog):
@@ -52,12 +51,13 @@ class Clock(_OfLog):
 
     key, title = "clock", "wrong clock"
     least = 0.01
-    removable, of_shares = True, True
+    removable, of_shares, shown = True, True, 0.05
+    cure_of_unseen = Cure("compare the rate with another clock, or record faster motions as well")
     starts = tuple(factor - 1.0 for factor in RATES)
 
-    def is_possible(self, values: Array, robot: Described) -> bool:
+    def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
         """Return whether velocities, which do not follow the clock, admit its error."""
-        return super().is_possible(values, robot) and abs(values[0]) <= robot.clock_bound
+        return super().is_possible(values, joint, robot) and abs(values[0]) <= robot.clock_bound
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the clock of the log."""
@@ -103,15 +103,18 @@ class Zero(_OfLog):
     removable = True
     farthest = 0.35
     """20 degrees: a joint that is off by more is another one, or has another sign."""
+    shown = 0.035
+    """Two degrees, or 35 mm."""
+    cure_of_unseen = Cure("calibrate these joints, or record more poses")
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of positions."""
         return "rad" if revolute else "m"
 
-    def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
+    def text_of(self, size: float, error: float | None, *, revolute: bool) -> str:
         """Return the size in degrees or mm."""
-        size, error, _ = self.size(values, covariance, revolute=revolute)
-        return _length(size, error, revolute=revolute)
+        scale, unit = (float(np.rad2deg(1.0)), "deg") if revolute else (1e3, "mm")
+        return f"{plus_minus(scale * size, None if error is None else scale * error)} {unit}"
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the zero position of each joint."""
@@ -139,7 +142,8 @@ class Zero(_OfLog):
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return by how much a zero position is off."""
         k = model.joint_names.index(str(found.joint))
-        size = _length(abs(found.estimate), found.std_error, revolute=model.joints[k].is_revolute)
+        revolute = model.joints[k].is_revolute
+        size = self.text_of(abs(found.estimate), found.std_error, revolute=revolute)
         return Finding(
             "zero_position_wrong",
             "warning",
@@ -161,7 +165,8 @@ class Gain(_OfTorque):
     key, title = "gain", "wrong torque gain"
     least = 0.03
     """Accuracy of the gains that makers state."""
-    removable, of_shares = True, True
+    removable, of_shares, shown = True, True, 0.1
+    cure_of_unseen = Cure("calibrate these gains by a payload of known mass", call="find_gains")
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the model."""
@@ -214,9 +219,9 @@ class Saturation(_OfTorque):
     least, farthest = 0.05, 0.8
     of_shares = True
 
-    def is_possible(self, values: Array, robot: Described) -> bool:
+    def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
         """Return whether torques fall behind: none grows over its sensor."""
-        return super().is_possible(values, robot) and bool(values[0] < 0.0)
+        return super().is_possible(values, joint, robot) and bool(values[0] < 0.0)
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return `tau |tau|` over the largest torque of the span."""
@@ -241,6 +246,12 @@ class Drift(_OfTorque):
     """Let the torque offset drift over the recording [N m or N]."""
 
     key, title = "drift", "drift of the torque offset"
+    felt = 0.02
+    """Drift in the joint's largest torque below which it is of no account."""
+
+    def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
+        """Return whether the drift matters beside the joint's largest torque."""
+        return abs(values[0]) >= self.felt * robot.largest[joint or 0]
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of torques."""
@@ -266,7 +277,7 @@ class Drift(_OfTorque):
 class Warming(_OfTorque):
     """Let the drive's torque change by a share over the recording."""
 
-    key, title = "warming", "drift of friction"
+    key, title, least = "warming", "drift of friction", 0.05
     of_log = False
     of_shares = True
 
@@ -290,11 +301,6 @@ class Warming(_OfTorque):
 
 def _percent(found: FoundEffect) -> str:
     return f"{plus_minus(100.0 * abs(found.estimate), 100.0 * found.std_error)} %"
-
-
-def _length(size: float, error: float, *, revolute: bool) -> str:
-    scale, unit = (float(np.rad2deg(1.0)), "deg") if revolute else (1e3, "mm")
-    return f"{plus_minus(scale * size, scale * error)} {unit}"
 
 
 def _worth(found: FoundEffect) -> str:

@@ -38,7 +38,11 @@ class Tilt(Effect):
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return the angle between both directions of gravity [deg]."""
         size, error, _ = super().size(values, covariance, revolute=revolute)
-        return float(np.rad2deg(size)), float(np.rad2deg(error)), "deg"
+        return float(np.rad2deg(size)), float(np.rad2deg(error)), self.unit(revolute)
+
+    def unit(self, revolute: bool) -> str:
+        """Return the unit of the angle."""
+        return "deg"
 
     def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
         """Return the angle with its parts about both axes."""

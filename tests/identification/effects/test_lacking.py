@@ -15,12 +15,11 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.errors.block_scatter import widening
 from asbuilt.identification.errors.error_basis import ErrorKind
 from asbuilt.identification.identify import Fit, fit_samples, identify_samples
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues
-from asbuilt.validation.generalisation.effect_bias import with_effects
-from asbuilt.validation.generalisation.missing_effects import TILT, MissingEffect
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 
@@ -28,7 +27,6 @@ MODEL = bundled_robot("two-link")
 FITTED = DriveSet.parse("viscous,coulomb,offset")
 RICHER = DriveSet.parse("viscous,coulomb,quadratic,offset")
 STRIBECK = DriveSet.parse("viscous,coulomb,stribeck:velocity=0.1,offset")
-SHOWN = tuple(MissingEffect("quadratic", name, 20.0, 0.0) for name in MODEL.joint_names)
 
 
 def samples(seed: int = 0, drive: DriveSet = RICHER, further: float = 0.2) -> Samples:
@@ -45,10 +43,18 @@ def fitted(data: Samples, method: str = "wls", errors: ErrorKind = "blocks") -> 
     return fit_samples(MODEL, [data], drive=FITTED, method=method, errors=errors)
 
 
+def with_lacking(fit: Fit, data: Samples) -> Fit:
+    """Return a fit with the bias by what the samples show, with no effect in its model."""
+    found = find_effects(fit.model, fit.base.drive, [data], applied=())
+    assert found.lacking is not None
+    return replace(fit, omitted=found.lacking.bias(fit))
+
+
 def test_the_bias_is_the_difference_of_fits_without_and_with_the_effect() -> None:
     data = samples()
-    found = with_effects(fitted(data), [data], SHOWN).omitted
+    found = with_lacking(fitted(data), data).omitted
     assert found is not None
+    assert "quadratic friction at joint_1 and joint_2" in found.sentence
     short, full = (identify_samples(MODEL, data, drive=drive) for drive in (FITTED, RICHER))
     values = dict(zip(full.base.names, full.estimates, strict=True))
     bias = np.array(
@@ -57,9 +63,8 @@ def test_the_bias_is_the_difference_of_fits_without_and_with_the_effect() -> Non
             for name, value in zip(short.base.names, short.estimates, strict=True)
         ]
     )
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(found.covariance)), np.abs(bias), rtol=0.05, atol=2e-3
-    )
+    sizes = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(sizes, np.abs(bias), rtol=0.05, atol=2e-3)
     assert np.any(np.abs(bias) > 5.0 * short.std_errors)
 
 
@@ -71,8 +76,9 @@ def test_the_bias_by_a_tilt_is_that_of_the_fit_on_the_tilted_base() -> None:
     noise = 0.01 * np.random.default_rng(2).normal(size=log.tau.shape)
     data = prepare_samples(replace(log, tau=log.tau + noise, qd=None, qdd=None))
     fit = fit_samples(model, [data])
-    found = with_effects(fit, [data], (MissingEffect(TILT, None, 20.0, 0.0),)).omitted
+    found = with_lacking(fit, data).omitted
     assert found is not None
+    assert "base tilt" in found.effects
     tilted = identify_samples(model.with_gravity(turned), data)
     values = dict(zip(tilted.base.names, tilted.estimates, strict=True))
     bias = fit.estimate.beta - np.array([values[name] for name in fit.base.names])
@@ -81,11 +87,37 @@ def test_the_bias_by_a_tilt_is_that_of_the_fit_on_the_tilted_base() -> None:
     np.testing.assert_allclose(sizes[large], np.abs(bias)[large], rtol=0.1)
 
 
-@pytest.mark.parametrize("method", ["wls", "consistent"])
-def test_without_effects_and_with_textbook_errors_nothing_is_added(method: str) -> None:
+def test_textbook_errors_stay_and_a_right_model_lacks_nothing() -> None:
     data = samples()
-    assert with_effects(fitted(data, method), [data], ()).omitted is None
-    assert with_effects(fitted(data, method, "textbook"), [data], SHOWN).omitted is None
+    lacking = find_effects(MODEL, FITTED, [data], applied=()).lacking
+    assert lacking is not None
+    assert lacking.bias(fitted(data, errors="textbook")) is None
+    assert find_effects(MODEL, RICHER, [data], applied=()).lacking is None
+
+
+def test_the_error_of_a_tilt_in_the_model_is_that_of_the_parameters_too() -> None:
+    """Parameters scatter over noise by the part of a tilt that every log finds anew."""
+    model, drive = bundled_robot("scara"), DriveSet.parse("viscous,coulomb,offset")
+    turned = Rotation.from_rotvec(np.deg2rad([2.0, 1.0, 0.0])).apply(np.array(model.gravity))
+    machine = VirtualRobot.ideal(model.with_gravity(turned))
+    log = machine.record(random_fourier(model, rng=3, duration=30.0), rate=100.0).recording
+    values, stated, alone = [], [], []
+    for seed in range(12):
+        noise = 0.3 * np.random.default_rng(seed).normal(size=log.tau.shape)
+        data = prepare_samples(replace(log, tau=log.tau + noise, qd=None, qdd=None))
+        found = find_effects(model, drive, [data])
+        assert [each.effect for each in found.found] == ["tilt"]
+        fit = fit_samples(found.model, [data], drive=found.drive)
+        own = found.lacking.bias(fit)
+        assert "base tilt" not in own.effects
+        values.append(fit.estimate.beta)
+        alone.append(fit.uncertainty.std_errors)
+        stated.append(np.sqrt(alone[-1] ** 2 + np.diag(own.covariance)))
+    scatter = np.std(values, axis=0, ddof=1)
+    tilted = np.median(stated, axis=0) > 1.5 * np.median(alone, axis=0)
+    assert np.any(tilted)
+    ratio = scatter[tilted] / np.median(stated, axis=0)[tilted]
+    assert 0.6 < np.median(ratio) < 1.5
 
 
 @pytest.mark.study
@@ -99,22 +131,19 @@ def test_intervals_hold_the_truth_under_friction_that_the_model_lacks() -> None:
     held, narrow = [], []
     for seed in range(6):
         data = samples(seed, STRIBECK, 0.5)
-        options = StudyOptions(drive=FITTED, method="wls", checked=False)
+        options = StudyOptions(drive=FITTED, method="wls", checked=False, effects="none")
         study = identify(MODEL, data, options=options)
-        assert "missing_effect" in {each.code for each in study.findings}
         error = np.abs(study.result.estimates - study.result.base.values(truth))
         held.append(error < 1.96 * study.result.std_errors)
         narrow.append(error < 1.96 * fitted(data).uncertainty.std_errors)
-        assert "bias by effects that the model lacks" in " ".join(study.result.notes)
-        finding = next(each for each in study.findings if each.code == "missing_effect")
-        assert "Standard errors include their bias" in finding.message
+        assert "bias by what the model may lack" in " ".join(study.result.notes)
     assert np.mean(held) >= 0.93
     assert np.mean(narrow) < 0.8
 
 
 def test_the_bias_that_two_results_share_is_no_error_of_their_difference() -> None:
     pair = [
-        with_effects(fit, [data], SHOWN).concluded(*fit.metrics([data]))
+        with_lacking(fit, data).concluded(*fit.metrics([data]))
         for data in (samples(1), samples(2))
         for fit in (fitted(data),)
     ]

@@ -15,7 +15,7 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
 from asbuilt.identification.identify import identify_samples
-from asbuilt.validation.log_errors.unexplained import unexplained_findings
+from asbuilt.validation.generalisation.unexplained import unexplained_findings
 from asbuilt.validation.prediction import validate_samples
 
 MODEL = bundled_robot("ur10e")

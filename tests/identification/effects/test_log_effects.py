@@ -19,11 +19,14 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
-from asbuilt.identification.identify import identify_samples
-from asbuilt.validation.log_errors.log_error_search import LogError
-from asbuilt.validation.log_errors.log_error_text import log_error_findings
-from asbuilt.validation.log_errors.log_errors import log_errors, sought_errors
-from asbuilt.validation.log_errors.plateaus import plateaus
+from asbuilt.identification.effects.effect_findings import effect_findings
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.search import find_effects
+from asbuilt.validation.generalisation.plateaus import (
+    plateau_findings,
+    plateaus,
+    without_plateaus,
+)
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 Fault = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
@@ -42,13 +45,12 @@ def logged(model: RobotModel, fault: Fault | None = None, seed: int = 1) -> Reco
     return replace(log, t=t, q=q, tau=tau + noise, qd=None, qdd=None)
 
 
-def found(name: str, fault: Fault | None = None, tilt: float = 0.0) -> tuple[LogError, ...]:
-    """Return the errors found in the log of a robot whose base is tilted by so much [rad]."""
+def found(name: str, fault: Fault | None = None, tilt: float = 0.0) -> tuple[FoundEffect, ...]:
+    """Return the effects found in the log of a robot whose base is tilted by so much [rad]."""
     model = bundled_robot(name)
     turned = Rotation.from_rotvec([tilt, -0.6 * tilt, 0.0])
     real = model.with_gravity(turned.apply(np.array(model.gravity)))
-    samples = prepare_samples(logged(real, fault))
-    return log_errors(identify_samples(model, samples, drive=DRIVE), [samples])
+    return find_effects(model, DRIVE, [prepare_samples(logged(real, fault))]).found
 
 
 def slow_clock(factor: float) -> Fault:
@@ -101,8 +103,8 @@ def test_a_right_log_has_no_errors(name: str) -> None:
 )
 def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:
     (error,) = found(name, slow_clock(factor))
-    assert (error.kind, error.joint) == ("clock", None)
-    assert error.value + 1.0 == pytest.approx(factor, abs=max(5.0 * error.std_error, 1e-3))
+    assert (error.effect, error.joint) == ("clock", None)
+    assert error.estimate + 1.0 == pytest.approx(factor, abs=max(5.0 * error.std_error, 1e-3))
     assert error.std_error < 0.01 * factor
 
 
@@ -112,8 +114,8 @@ def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:
 )
 def test_a_wrong_zero_position_is_measured(name: str, joint: int, by: float) -> None:
     error = found(name, zero_off(joint, by))[0]
-    assert (error.kind, error.joint) == ("zero", bundled_robot(name).joint_names[joint])
-    assert error.value == pytest.approx(by, abs=4.0 * error.std_error)
+    assert (error.effect, error.joint) == ("zero", bundled_robot(name).joint_names[joint])
+    assert error.estimate == pytest.approx(by, abs=4.0 * error.std_error)
     assert error.std_error < 0.2 * abs(by)
 
 
@@ -122,8 +124,8 @@ def test_a_wrong_zero_position_is_measured(name: str, joint: int, by: float) -> 
 )
 def test_a_wrong_gain_is_measured(name: str, joint: int, factor: float) -> None:
     error = found(name, gain(joint, factor))[0]
-    assert (error.kind, error.joint) == ("scale", bundled_robot(name).joint_names[joint])
-    assert 1.0 + error.value == pytest.approx(factor, abs=4.0 * error.std_error)
+    assert (error.effect, error.joint) == ("gain", bundled_robot(name).joint_names[joint])
+    assert 1.0 + error.estimate == pytest.approx(factor, abs=4.0 * error.std_error)
 
 
 @pytest.mark.parametrize(
@@ -132,33 +134,36 @@ def test_a_wrong_gain_is_measured(name: str, joint: int, factor: float) -> None:
 )
 @pytest.mark.study
 def test_gains_are_sought_on_the_tilted_robot(name: str, joint: int, tilt: float) -> None:
-    assert found(name, tilt=tilt) == ()
-    (error,) = found(name, gain(joint, 0.9), tilt)
-    assert (error.kind, error.joint) == ("scale", bundled_robot(name).joint_names[joint])
-    assert 1.0 + error.value == pytest.approx(0.9, abs=3e-3)
+    (turned,) = found(name, tilt=tilt)
+    assert turned.effect == "tilt"
+    turned, error = found(name, gain(joint, 0.9), tilt)
+    assert turned.effect == "tilt"
+    assert (error.effect, error.joint) == ("gain", bundled_robot(name).joint_names[joint])
+    assert 1.0 + error.estimate == pytest.approx(0.9, abs=3e-3)
 
 
 def test_a_dead_sensor_is_named() -> None:
     model = bundled_robot("ur10e")
-    samples = prepare_samples(logged(model, gain(2, 0.0)))
-    result = identify_samples(model, samples, drive=DRIVE)
-    codes = {each.code: each for each in log_error_findings(result, [samples])}
+    codes = findings("ur10e", logged(model, gain(2, 0.0)))
     assert codes["torque_does_not_follow"].joint == model.joint_names[2]
 
 
 @pytest.mark.parametrize(("name", "joint"), [("ur10e", 1), ("ur10e", 2)])
 def test_a_saturated_torque_is_named(name: str, joint: int) -> None:
     errors = found(name, saturating(joint, 0.6))
-    assert ("nonlinear", bundled_robot(name).joint_names[joint]) in [
-        (each.kind, each.joint) for each in errors
+    assert ("saturation", bundled_robot(name).joint_names[joint]) in [
+        (each.effect, each.joint) for each in errors
     ]
 
 
 def findings(name: str, recording: Recording) -> dict[str, Finding]:
     """Return the findings of a log by their codes."""
-    samples = prepare_samples(recording)
-    result = identify_samples(bundled_robot(name), samples, drive=DRIVE)
-    return {each.code: each for each in log_error_findings(result, [samples])}
+    model, samples = bundled_robot(name), [prepare_samples(recording)]
+    flat = plateaus(model, DRIVE, samples)
+    effects = find_effects(model, DRIVE, without_plateaus(samples, flat))
+    effects = effects.beside_plateaus({model.joint_names[each.joint] for each in flat})
+    said = (*plateau_findings(model, flat), *effect_findings(effects))
+    return {each.code: each for each in said}
 
 
 @pytest.mark.parametrize(
@@ -188,7 +193,7 @@ def test_a_plateau_of_the_torque_is_named_with_its_level(
 
 
 def test_friction_at_constant_speed_is_no_saturation() -> None:
-    model, drive = bundled_robot("ur10e"), DRIVE
+    model = bundled_robot("ur10e")
     motion = random_fourier(model, rng=1, duration=30.0).sample(100.0)
     q = 0.2 * motion.q
     q[:, 0] = np.arcsin(0.95 * np.sin(0.4 * motion.t))
@@ -197,10 +202,9 @@ def test_friction_at_constant_speed_is_no_saturation() -> None:
     tau += np.array([100.0, 5, 5, 2, 2, 2]) * np.tanh(qd / 0.01)
     tau += np.random.default_rng(1).normal(scale=0.2, size=tau.shape)
     samples = prepare_samples(Recording(t=motion.t, q=q, tau=tau, joint_names=model.joint_names))
-    result = identify_samples(model, samples, drive=drive)
     near = np.abs(samples.tau[:, 0]) > 0.95 * np.percentile(np.abs(samples.tau[:, 0]), 99.5)
     assert np.mean(near) > 0.3
-    assert plateaus(model, result.base, [samples]) == ()
+    assert plateaus(model, DRIVE, [samples]) == ()
 
 
 @pytest.mark.parametrize(
@@ -218,31 +222,28 @@ def test_a_log_that_shows_no_error_of_the_clock_says_so(name: str, unseen: bool)
 @pytest.mark.study
 def test_errors_beyond_the_size_that_shows_are_found_and_smaller_ones_are_not() -> None:
     model, joint = bundled_robot("ur10e"), 3
-    samples = prepare_samples(logged(model))
-    sought = sought_errors(identify_samples(model, samples, drive=DRIVE), [samples])
-    zero, share = sought.zero_unseen[joint], sought.gain_unseen[joint]
+    unseen = find_effects(model, DRIVE, [prepare_samples(logged(model))]).unseen
+    zero, share = unseen["zero", joint], unseen["gain", joint]
     assert 0.0 < zero < 0.05
     assert 0.0 < share < 0.2
     for size, named in ((2.0, True), (0.4, False)):
         for kind, fault in (
             ("zero", zero_off(joint, size * zero)),
-            ("scale", gain(joint, 1.0 - size * share)),
+            ("gain", gain(joint, 1.0 - size * share)),
         ):
-            errors = [(each.kind, each.joint) for each in found("ur10e", fault)]
+            errors = [(each.effect, each.joint) for each in found("ur10e", fault)]
             assert ((kind, model.joint_names[joint]) in errors) == named, (kind, size)
 
 
 def test_a_drifting_sensor_is_measured() -> None:
     (error,) = found("ur10e", drifting(1, 8.0))
-    assert (error.kind, error.joint) == ("drift", "shoulder_lift_joint")
-    assert error.value == pytest.approx(8.0, abs=4.0 * error.std_error)
+    assert (error.effect, error.joint) == ("drift", "shoulder_lift_joint")
+    assert error.estimate == pytest.approx(8.0, abs=4.0 * error.std_error)
 
 
 def test_the_cure_of_a_zero_position_is_a_field_of_a_sheet() -> None:
-    model = bundled_robot("ur10e")
-    samples = prepare_samples(logged(model, zero_off(1, 0.035)))
-    found = log_error_findings(identify_samples(model, samples, drive=DRIVE), [samples])
-    (finding,) = (each for each in found if not each.code.endswith("_unseen"))
-    assert finding.code == "zero_position_wrong"
+    said = findings("ur10e", logged(bundled_robot("ur10e"), zero_off(1, 0.035)))
+    finding = said["zero_position_wrong"]
+    assert {code for code in said if not code.endswith("_unseen")} == {"zero_position_wrong"}
     assert "deg too large" in finding.message
     assert "zero = [0, 0.03" in str(finding.cure)

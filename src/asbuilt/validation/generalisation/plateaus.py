@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.torque_prediction import Prediction, predict_torque
-from asbuilt.validation.generalisation.effect_evidence import plain_fit
+from asbuilt.validation.prediction import torque_units
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -78,20 +83,47 @@ class Plateau:
 
 def plateaus(
     model: RobotModel,
-    base: BaseParameters,
+    drive: DriveSet,
     training: Sequence[Samples],
     block_seconds: float | None = None,
 ) -> tuple[Plateau, ...]:
-    """Return the torques that saturate, both signs of a joint as two, in the order of joints."""
-    if not training:
+    """Return the torques that saturate, both signs of a joint as two, in the order of joints.
+
+    None where the samples cannot be fitted.
+    """
+    base = find_base_parameters(model, drive)
+    try:
+        values = _plain_fit(model, base, training, block_seconds)
+    except (AsbuiltError, np.linalg.LinAlgError):
         return ()
-    values = plain_fit(model, base, training, block_seconds).beta
     logged = [predict_torque(model, base, values, samples) for samples in training]
     return tuple(
         found
         for joint, sign in _crowded(logged)
         if (found := _plateau(model, base, training, logged, joint, sign, block_seconds))
     )
+
+
+def plateau_findings(model: RobotModel, found: Sequence[Plateau]) -> Iterator[Finding]:
+    """Yield a finding for each joint whose torque saturates."""
+    for joint in sorted({each.joint for each in found}):
+        own = [each for each in found if each.joint == joint]
+        levels, implied = (
+            joined([f"{x:.4g}" for x in values])
+            for values in ([e.level for e in own], [e.implied for e in own])
+        )
+        name, unit = model.joint_names[joint], torque_units(model)[joint]
+        yield Finding(
+            "torque_saturates",
+            "warning",
+            f"The torque of {name} stays at {levels} {unit} where its motion, by a fit to the rest"
+            f" of the log, asks for up to {implied} {unit}: the drive or the sensor saturates",
+            Cure(
+                "leave these times out by [[windows]] in a recording sheet, record a gentler"
+                " motion, or check the range of the sensor"
+            ),
+            joint=name,
+        )
 
 
 def without_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> tuple[Samples, ...]:
@@ -139,7 +171,7 @@ def _plateau(
             samples.select(_below(samples, each.t, x, RULES.left_out * level))
             for samples, each, x in zip(training, logged, torque, strict=True)
         ]
-        values = plain_fit(model, base, rest, block_seconds).beta
+        values = _plain_fit(model, base, rest, block_seconds)
     except (AsbuiltError, np.linalg.LinAlgError):
         return None
     implied = np.concatenate(
@@ -160,6 +192,15 @@ def _plateau(
     if abs(slope) > RULES.follows or np.std(x) > RULES.flat * scatter:
         return None
     return Plateau(joint, sign * level, sign * float(y.max()))
+
+
+def _plain_fit(
+    model: RobotModel, base: BaseParameters, samples: Sequence[Samples], seconds: float | None
+) -> Array:
+    """Return weighted least squares estimates of base parameters (p,)."""
+    seen = accumulate_stream(model, base, samples, block_seconds=seconds)
+    prior = design_values(model, base)
+    return fit_least_squares(seen, weights="joint", prior=prior).beta
 
 
 def _below(samples: Samples, t: Array, torque: Array, level: float) -> NDArray[np.bool_]:

@@ -1,0 +1,138 @@
+"""What a model lacks although a recording shows it, and the bias that this brings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.findings import joined
+from asbuilt.identification.effects.gathering import Candidate, EffectEquations
+from asbuilt.identification.effects.selection import Selection
+from asbuilt.identification.errors.omitted_bias import OmittedBias, moved_estimate, shrunken
+
+if TYPE_CHECKING:
+    from asbuilt.identification.identify import Fit
+
+At = tuple[str, int | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lacking:
+    """Hold effects (m columns) that are not parameters of a model.
+
+    `values` (m,) and `covariance` are beside each other and all that is in the model. Effects that
+    are in the model as constants, such as a tilt, have the value 0: only their error counts.
+    `names` (P,) are those of the parameters in the equations, empty where a column has none.
+    """
+
+    equations: EffectEquations
+    names: tuple[str, ...]
+    columns: Indices
+    values: Array
+    covariance: Array
+    text: str
+
+    @classmethod
+    def of(
+        cls, selection: Selection, out: Sequence[Candidate], removed: Mapping[At, Array]
+    ) -> Lacking | None:
+        """Return what is not a parameter of the model: effects taken, and those that are unsure.
+
+        `removed` are the values of effects that the equations are without.
+        """
+        own = list(out)
+        busy = {(each.effect.kind, each.joint) for each in selection.taken}
+        for trial in sorted(selection.unsure, key=lambda each: -each.gain):
+            place = trial.candidate.effect.kind, trial.candidate.joint
+            if place not in busy and not trial.candidate.replaces.size:
+                busy.add(place)
+                own.append(trial.candidate)
+        if not own:
+            return None
+        values, covariance = selection.values_of(own)
+        start = 0
+        for each in own:
+            span = slice(start, start + each.places.size)
+            start = span.stop
+            if each.at in removed:
+                values[span] = 0.0 if _is_constant(each, selection) else removed[each.at]
+        text = _listed([e for e in own if not _is_constant(e, selection)], selection)
+        return cls(
+            selection.equations,
+            _names(selection),
+            np.concatenate([each.places for each in own]),
+            values,
+            covariance,
+            text,
+        )
+
+    def bias(self, fit: Fit) -> OmittedBias | None:
+        """Return the bias of a fit, to first order, of columns that it lacks.
+
+        Least squares without columns C with the values c is off by `(W^T W)^-1 W^T C c` (Frisch and
+        Waugh, Econometrica 1, 1933). Values are shrunk by their errors, as effects of their own
+        size around zero are. Textbook errors stay.
+        """
+        if fit.uncertainty.basis.asked == "textbook":
+            return None
+        place = {name: j for j, name in enumerate(self.names) if name}
+        kept = np.array([k for k, name in enumerate(fit.base.names) if name in place])
+        own = np.array([place[fit.base.names[k]] for k in kept])
+        gram = self.equations.stacked(fit.estimate.weights)[:-1, :-1]
+        size = np.sqrt(np.maximum(np.diag(gram)[own], np.finfo(np.float64).tiny))
+        inverse = np.linalg.pinv(gram[np.ix_(own, own)] / np.outer(size, size), hermitian=True)
+        follows = np.zeros((fit.base.n_base, len(self.columns)))
+        follows[kept] = (inverse @ (gram[np.ix_(own, self.columns)] / size[:, None])) / size[
+            :, None
+        ]
+        mean, spread = self._shrunken()
+        free, V = follows @ mean, follows @ spread @ follows.T
+        moved = moved_estimate(fit.information, fit.estimate)
+        bias = moved @ free
+        covariance = np.outer(bias, bias) + moved @ V @ moved.T
+        return OmittedBias(
+            bias=bias,
+            covariance=0.5 * (covariance + covariance.T),
+            free_bias=free,
+            free_covariance=np.outer(free, free) + V,
+            effects=self.text,
+        )
+
+    def _shrunken(self) -> tuple[Array, Array]:
+        """Return mean and covariance of the values; constants in the model keep their errors."""
+        mean, spread = shrunken(self.values, self.covariance, np.abs(self.values))
+        constant = self.values == 0.0
+        spread[np.ix_(constant, constant)] = self.covariance[np.ix_(constant, constant)]
+        return mean, spread
+
+
+def _is_constant(candidate: Candidate, selection: Selection) -> bool:
+    return candidate.effect.removable and candidate.effect.key in selection.applied
+
+
+def _names(selection: Selection) -> tuple[str, ...]:
+    """Return the names of the model's parameters in the equations, with those of terms added."""
+    equations = selection.equations
+    names = [*equations.base.names, *[""] * (equations.n_parameters - equations.n_base)]
+    for each in selection.taken:
+        if each.term is None or each.joint is None or each.effect.key not in selection.applied:
+            continue
+        symbols = [
+            s for s, act in zip(each.term.symbols, each.term.functions(), strict=True) if act
+        ]
+        for symbol, place in zip(symbols, each.places, strict=False):
+            names[place] = f"{symbol}{each.joint + 1}"
+    return tuple(names)
+
+
+def _listed(candidates: Sequence[Candidate], selection: Selection) -> str:
+    names = selection.equations.robot.model.joint_names
+    joints: dict[str, list[str]] = {}
+    for each in candidates:
+        own = joints.setdefault(each.effect.title, [])
+        own += [] if each.joint is None else [names[each.joint]]
+    return joined([f"{what} at {joined(at, 4)}" if at else what for what, at in joints.items()])

@@ -1,1 +1,0 @@
-"""Errors of the log itself, such as clock, zero positions and gains, found in the residual."""
