@@ -147,23 +147,25 @@ class _Search:
     ) -> None:
         self.model, self.drive, self.samples = model, drive, samples
         self.wanted, self.applied = wanted, applied
+        self.impossible: set[tuple[str, int | None]] = set()
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
 
     def run(self) -> Effects:
         """Return the effects, found on robot and log without those that can be taken out."""
-        removed, selection = self._far_off(), self._selection(())
-        if removed:
-            before = selection.held_out_error([])
-            removed, selection = self._settled(removed)
-            after = selection.held_out_error(selection.taken)
-            removed = [replace(each, errors=(before, after)) for each in removed]
+        removed, selection = self._far_off(self._selection(()))
         path = selection.run()
         while (first := self._to_remove(path, removed)) is not None:
             own = first.candidate
             values, errors = _whole(first.values, own, selection), _errors(selection, path)[own.at]
             new = _Removed(own.at, values, errors, first.alternatives)
-            removed, selection = self._settled([*removed, new])
+            found, beside = self._settled([*removed, new])
+            robot = selection.equations.robot
+            if own.effect.is_possible(found[-1].values, own.joint, robot):
+                removed, selection = found, beside
+            else:
+                self.impossible.add(own.at)
+                selection = self._selection(removed)
             path = selection.run()
         errors = _errors(selection, path)
         removed = [_advanced(each, selection) for each in removed]
@@ -212,34 +214,47 @@ class _Search:
         of_log = effect.of_log and (not trial.relief.size or trial.relief.mean() > RULES.named)
         return effect.key in self.applied or falls or of_log
 
-    def _far_off(self) -> list[_Removed]:
-        """Return the effect that is off by a factor from which on the robot is fitted better."""
-        few, base = (
-            _thinned(self.samples, LIMITS.tried),
-            find_base_parameters(self.model, self.drive),
-        )
+    def _far_off(self, selection: Selection) -> tuple[list[_Removed], Selection]:
+        """Return the effect that is off by a factor, if one is, and the selection beside it.
+
+        The robot is fitted better from there on, and the value settles near that factor.
+        """
+        start = self._best_start()
+        if start is None:
+            return [], selection
+        try:
+            (found,), beside = self._settled([start])
+        except (AsbuiltError, np.linalg.LinAlgError):
+            return [], selection
+        before, after = selection.held_out_error([]), beside.held_out_error(beside.taken)
+        possible = found.effect.is_possible(found.values, None, selection.equations.robot)
+        if not possible or after > before:
+            return [], selection
+        return [replace(found, errors=(before, after))], beside
+
+    def _best_start(self) -> _Removed | None:
+        """Return the effect at the start that fits some of the samples best, if it does better."""
+        few = _thinned(self.samples, LIMITS.tried)
+        base = find_base_parameters(self.model, self.drive)
+        bound = min(each.clock_bound for each in self.samples)
 
         def left(samples: Sequence[Samples]) -> float:
             seen = accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
             sigma = fit_least_squares(seen, weights="joint", prior=np.zeros(base.n_base)).sigma
             return float(np.mean(np.log(sigma[np.isfinite(sigma)])))
 
-        bound = min(each.clock_bound for each in self.samples)
-        starts = [
-            (each, start) for each in self.wanted for start in each.starts if abs(start) <= bound
+        tried = [
+            (left(each.without(self.model, few, None, np.array([start]))[1]), each.key, start)
+            for each in self.wanted
+            for start in each.starts
+            if abs(start) <= bound
         ]
-        if not starts:
-            return []
-        gain, effect, start = max(
-            (
-                (-left(each.without(self.model, few, None, np.array([start]))[1]), each, start)
-                for each, start in starts
-            ),
-            key=lambda each: each[0],
-        )
-        if gain + left(few) < LIMITS.far_off:
-            return []
-        return [_Removed((effect.key, None), np.array([start]), (0.0, 0.0))]
+        if not tried:
+            return None
+        residual, key, start = min(tried)
+        if left(few) - residual < LIMITS.far_off:
+            return None
+        return _Removed((key, None), np.array([start]), (0.0, 0.0))
 
     def _settled(self, removed: Sequence[_Removed]) -> tuple[list[_Removed], Selection]:
         """Return effects with the values that leave nothing of them, and the selection beside them.
@@ -311,6 +326,7 @@ class _Search:
         )
         selection = Selection(equations, cad, fit.weights, groups, self.applied)
         selection.taken = [selection.candidate(each.at) for each in removed]
+        selection.impossible = self.impossible
         return selection
 
     def _found(
@@ -359,7 +375,7 @@ def _advanced(removed: _Removed, selection: Selection) -> _Removed:
     own = next(each for each in selection.taken if each.at == removed.at)
     step = _whole(selection.values()[own.places], own, selection)
     found = replace(removed, values=removed.effect.advanced(removed.values, step))
-    if np.linalg.norm(found.values) > removed.effect.farthest:
+    if removed.effect.in_model and np.linalg.norm(found.values) > removed.effect.farthest:
         raise IdentifiabilityError(
             f"a {removed.effect.title} of {selection.equations.robot.model.name} is beyond what"
             " robots in use have"

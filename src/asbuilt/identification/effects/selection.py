@@ -176,6 +176,8 @@ class Selection:
         self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
         self.taken: list[Candidate] = []
         self.applied = applied
+        self.impossible: Collection[tuple[str, int | None]] = ()
+        """Effects that turned out to have no size that robots have."""
         self.unsure: list[Trial] = []
         """Effects that are sure, but not beside CAD and on other motion."""
         torque = np.array([gram[-1, -1] for gram in equations.of_joints])
@@ -189,7 +191,11 @@ class Selection:
         while True:
             busy = {(each.effect.kind, each.joint) for each in self.taken}
             every = self.equations.candidates
-            left = [each for each in every if (each.effect.kind, each.joint) not in busy]
+            left = [
+                each
+                for each in every
+                if (each.effect.kind, each.joint) not in busy and each.at not in self.impossible
+            ]
             n = len({each.at for each in left})
             robot = self.equations.robot
             sure = [each for each in self.trials(left) if each.is_sure(n, robot)]

@@ -54,10 +54,21 @@ class Clock(_OfLog):
     removable, of_shares, shown = True, True, 0.05
     cure_of_unseen = Cure("compare the rate with another clock, or record faster motions as well")
     starts = tuple(factor - 1.0 for factor in RATES)
+    near, about = 0.3, 0.06
+    """Largest share by which a clock drifts or is set wrong; distance from a ratio of rates."""
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
-        """Return whether velocities, which do not follow the clock, admit its error."""
-        return super().is_possible(values, joint, robot) and abs(values[0]) <= robot.clock_bound
+        """Return whether velocities, which do not follow the clock, admit its error.
+
+        A clock that is off by much is off by a ratio of usual rates: errors of gains, and masses
+        that CAD lacks, imitate others.
+        """
+        rate = 1.0 + float(values[0])
+        usual = abs(values[0]) <= self.near or any(
+            abs(np.log(rate / factor)) <= self.about for factor in RATES if rate > 0.0
+        )
+        admitted = abs(values[0]) <= robot.clock_bound
+        return super().is_possible(values, joint, robot) and usual and admitted
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the clock of the log."""
@@ -165,6 +176,8 @@ class Gain(_OfTorque):
     key, title = "gain", "wrong torque gain"
     least = 0.03
     """Accuracy of the gains that makers state."""
+    farthest = 1.15
+    """That of a dead channel, with an error: beyond, it is another quantity."""
     removable, of_shares, shown = True, True, 0.1
     cure_of_unseen = Cure("calibrate these gains by a payload of known mass", call="find_gains")
 
