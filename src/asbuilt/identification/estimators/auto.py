@@ -78,11 +78,7 @@ class SelectionRules:
 
 RULES = SelectionRules()
 SCALE_OF_TORQUE = "The description has no masses: those found have the scale of the torques"
-CURE = Cure(
-    "look for an effect that the description lacks: base tilt, further friction, a tool on the"
-    " flange",
-    settings={"mounting": "estimate", "drive": "auto"},
-)
+CURE = Cure("check gains, description and what acts on the robot beside what was found")
 
 
 @estimator(

@@ -71,11 +71,7 @@ def mass_findings(result: IdentificationResult) -> tuple[Finding, ...]:
             "warning",
             f"Links beyond {FAR_FROM_CAD:g} times their CAD mass, or below 1/{FAR_FROM_CAD:g}, even"
             f" closest to CAD within the standard errors: {', '.join(far)}",
-            Cure(
-                "check gains and description, and look for an effect that the description lacks:"
-                " base tilt, a tool on the flange",
-                settings={"mounting": "estimate"},
-            ),
+            Cure("check gains, tool and description: what is not in the model looks like masses"),
         ),
     )
 
