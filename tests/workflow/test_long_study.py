@@ -54,6 +54,7 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
         drive=DriveSet.parse("viscous,coulomb,offset"),
         holdout="last:0.3",
         method="consistent",
+        effects="none",
     )
     one = identify(model, [whole], options=options)
     other = identify(model, [RecordingStream(log, model, chunk_samples=4000)], options=options)
@@ -65,6 +66,12 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
         rtol=0.02,
     )
     np.testing.assert_allclose(other.result.n_samples, one.result.n_samples, rtol=0.02)
+    stream = RecordingStream(log, model, chunk_samples=4000)
+    tilts = [
+        next(each.estimate for each in study.effects if each.effect == "tilt")
+        for study in (identify(model, [whole]), identify(model, [stream]))
+    ]
+    assert tilts[1] == pytest.approx(tilts[0], rel=0.02)
 
 
 @pytest.mark.study
