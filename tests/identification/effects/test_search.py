@@ -160,6 +160,21 @@ def test_what_is_wanted_is_read_from_text() -> None:
         StudyOptions(effects="auto,tilt")
 
 
+def test_friction_with_a_parameter_of_its_own_at_each_joint_is_in_the_model(trial) -> None:
+    """Trial values of nonlinear parameters differ by joint; what they add has its bias too."""
+    case = trial("ur10e", "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
+    samples = sprung(case, np.zeros(6))
+    qd = samples.qd[:, 1]
+    power = 12.0 * np.sign(qd) * np.abs(qd) ** 0.5
+    effects = find_effects(
+        case.model, DRIVE, [replace(samples, tau=samples.tau + np.outer(power, np.eye(6)[1]))]
+    )
+    assert effects.problem == ""
+    kinds = {EFFECTS[each.effect].kind for each in effects.found if each.joint}
+    assert kinds == {"friction"}
+    assert all(each.joint == case.model.joint_names[1] for each in effects.found)
+
+
 @pytest.mark.study
 def test_effects_of_a_real_arm_predict_its_other_motion(shared) -> None:
     """LWR4+: trained on one motion, another one is predicted better with what was found."""

@@ -122,7 +122,9 @@ def _names(selection: Selection) -> tuple[str, ...]:
         if each.term is None or each.joint is None or each.effect.key not in selection.applied:
             continue
         symbols = [
-            s for s, act in zip(each.term.symbols, each.term.functions(), strict=True) if act
+            s
+            for s, act in zip(each.term.symbols, each.term.at(each.joint).functions(), strict=True)
+            if act
         ]
         for symbol, place in zip(symbols, each.places, strict=False):
             names[place] = f"{symbol}{each.joint + 1}"

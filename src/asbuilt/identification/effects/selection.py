@@ -182,7 +182,21 @@ class Selection:
         """Effects that are sure, but not beside CAD and on other motion."""
         torque = np.array([gram[-1, -1] for gram in equations.of_joints])
         self._rms = np.sqrt(torque / max(int(equations.counts.sum()), 1))
+        self._apart = self._parts_outside()
         self._tiny = max(float(self._rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
+
+    def _parts_outside(self) -> Array:
+        """Return the squared part of each column outside the model's own, in its length, (P,)."""
+        gram, own = self._total[:-1, :-1], self._inside(())
+        size = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny))
+        scaled = gram / np.outer(size, size)
+        inverse = np.linalg.pinv(scaled[np.ix_(own, own)], rcond=RULES.separate, hermitian=True)
+        across = scaled[own]
+        return np.asarray(1.0 - np.einsum("ij,ik,kj->j", across, inverse, across, optimize=True))
+
+    def _is_shown(self, candidate: Candidate) -> bool:
+        """Return whether data alone can show an effect: bodies off CAD are no error of the log."""
+        return bool(np.all(self._apart[self.acting(candidate).places] >= RULES.shown))
 
     def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
@@ -194,7 +208,9 @@ class Selection:
             left = [
                 each
                 for each in every
-                if (each.effect.kind, each.joint) not in busy and each.at not in self.impossible
+                if (each.effect.kind, each.joint) not in busy
+                and each.at not in self.impossible
+                and (not each.effect.of_log or self._is_shown(each))
             ]
             n = len({each.at for each in left})
             robot = self.equations.robot
@@ -233,16 +249,18 @@ class Selection:
         return replace(candidate, places=candidate.places[acts[candidate.places]])
 
     def held_out_error(self, taken: Sequence[Candidate]) -> float:
-        """Return the relative torque error on the held-out groups with these effects."""
-        equations, error, torque = self.equations, 0.0, 0.0
+        """Return the relative torque error with these effects, the median of held-out groups.
+
+        A group that the others hardly determine says little of either model.
+        """
         none = np.zeros(0, dtype=np.int64)
-        for group, gram in zip(self._groups, self._held, strict=True):
+        squares = []
+        for gram, joints in zip(self._held, self._of_joints, strict=True):
             z = self._fit(self._total - gram, self._inside(taken), none).residual
-            for k, support in enumerate(equations.support):
-                own = equations.grams[k][group].sum(axis=0)
-                x = z[np.append(support, equations.n_parameters)]
-                error, torque = error + float(x @ own @ x), torque + float(own[-1, -1])
-        return float(np.sqrt(max(error, 0.0) / torque)) if torque > 0.0 else 0.0
+            error = sum(float(z[places] @ own @ z[places]) for places, own in joints)
+            torque = sum(float(own[-1, -1]) for _, own in joints)
+            squares.append(max(error, 0.0) / torque if torque > 0.0 else 0.0)
+        return float(np.sqrt(np.median(squares)))
 
     def values(self) -> Array:
         """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
@@ -268,10 +286,9 @@ class Selection:
         own = self.acting(candidate)
         if not own.places.size:
             return 0.0
-        fit = self._fit(self._total, self._inside(self.taken), own.places)
-        length = float(self._total[own.places[0], own.places[0]])
-        if float(fit.schur[0, 0]) < RULES.shown * length:
+        if not self._is_shown(own):
             return np.inf
+        fit = self._fit(self._total, self._inside(self.taken), own.places)
         n = int(np.sum(self.weights > 0.0))
         of_joint = float(fit.residual @ self._total @ fit.residual) / n
         felt = of_joint * np.expm1(n * RULES.named)
