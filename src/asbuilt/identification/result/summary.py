@@ -40,8 +40,6 @@ SPARE = 20
 """Characters that breaking the lines of a finding at spaces may cost."""
 MOST_PARAMETERS = 10
 MOST_LINKS = 8
-UNEXPLAINED = 0.3
-"""Relative training error from which the model does not describe the robot."""
 DROPPED = "dropped"
 """Text for the error of a parameter that the estimator set to zero."""
 
@@ -65,7 +63,7 @@ class Summary:
     notes
         Assumptions: the standard errors, what is determined, then the estimator's decisions.
     verdict
-        What forbids to use the result, in capitals; empty if nothing does.
+        Whether to use the model, in a sentence with its number; empty for a result alone.
     effects
         What CAD lacks and the recordings show, with where it is: in the model or not.
     """
@@ -157,6 +155,7 @@ def summarise(
     result: IdentificationResult,
     *,
     findings: Sequence[Finding] | None = None,
+    verdict: str = "",
 ) -> Summary:
     """Summarise a result.
 
@@ -166,6 +165,8 @@ def summarise(
         The result.
     findings
         Findings of the study; None: those of the result.
+    verdict
+        The verdict of the study.
     """
     said = ranked(result.findings if findings is None else findings)
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_links))
@@ -184,7 +185,7 @@ def summarise(
             determination(result, motions=False).in_short,
             *result.notes,
         ),
-        verdict=_verdict(result),
+        verdict=verdict,
         effects=tuple(
             ("in the model" if each.in_model else "not in model", each.text)
             for each in result.effects
@@ -194,16 +195,6 @@ def summarise(
 
 def _mass(mass: float | None) -> str:
     return "?" if mass is None else significant(mass)
-
-
-def _verdict(result: IdentificationResult) -> str:
-    error = result.train.relative_error
-    if not error > UNEXPLAINED:
-        return ""
-    return (
-        f"THE MODEL DOES NOT EXPLAIN THE TORQUES: TRAINING ERROR {share(error).upper()}. CHECK"
-        " ROBOT, GRAVITY, COLUMNS, UNITS AND RATE"
-    )
 
 
 def finding_lines(

@@ -166,6 +166,7 @@ def _generalisation(
             " many parameters, or something"
             " acted then that the model lacks",
             Cure("record longer, add recordings, or use fewer drive terms"),
+            joint=built.joint_names[worse[0]] if len(worse) == 1 else None,
         )
     behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
     if behind.size and np.any(validation.predicted_cad):

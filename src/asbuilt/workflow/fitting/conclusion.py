@@ -38,6 +38,7 @@ from asbuilt.validation.generalisation.missing_effects import (
 from asbuilt.validation.log_errors.log_error_text import log_error_findings
 from asbuilt.validation.log_errors.unexplained import unexplained_findings
 from asbuilt.validation.prediction import Validation
+from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import delay_findings
 from asbuilt.workflow.fitting.fits import Fits
@@ -103,6 +104,7 @@ def conclude_study(
     final = with_effects(fits.final, fits.samples, effects, block_seconds=options.block_seconds)
     result = result if final.omitted is None else conclude(final)
     attribution = None if cause_data is None else attribute(result)
+    validations = with_exported(result, validations, held)
     findings = (
         *result.findings,
         *_drive_findings(fits.choice),

@@ -74,6 +74,7 @@ def identify_document(
     """Return what `asbuilt identify --json` prints; `files` are the paths written, by kind."""
     result, masses = study.result, exported_masses(study.result)
     return result.as_dict() | {
+        "verdict": plain(study.verdict),
         "drive": str(result.base.drive),
         "errors": plain(result.errors) | {"sentence": result.errors_sentence},
         "motor_side": (
