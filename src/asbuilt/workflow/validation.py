@@ -18,6 +18,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import Validation, validate_description, validate_samples
+from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import digest, prepare
 from asbuilt.workflow.servo import with_servo
@@ -61,11 +62,12 @@ def validate(
     result = result.result if isinstance(result, Study) else result
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
-    return tuple(
-        validate_samples(as_validated(result, samples), samples, cad=cad)
-        for recording in as_recordings(result.model, recordings)
-        for samples in (_prepared(result, recording, options),)
-    )
+    found = []
+    for recording in as_recordings(result.model, recordings):
+        samples = _prepared(result, recording, options)
+        fitted = as_validated(result, samples)
+        found.append(with_exported(fitted, validate_samples(fitted, samples, cad=cad), samples))
+    return tuple(found)
 
 
 def validate_robot(

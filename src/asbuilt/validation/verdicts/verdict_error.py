@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import beside_measured, parameter_torque
 from asbuilt.validation.prediction import Validation
@@ -40,46 +40,28 @@ class VerdictError:
 
 
 def with_exported(
-    result: IdentificationResult, validations: Sequence[Validation], samples: Sequence[Samples]
-) -> tuple[Validation, ...]:
-    """Return validations with the errors of the robot that exports carry.
+    result: IdentificationResult, validation: Validation, samples: Samples
+) -> Validation:
+    """Return a validation with the errors of the robot that exports of a result carry.
 
-    Its links have the standard parameters closest to CAD within the standard errors of the fit that
-    has not seen the samples, its drives all identified terms. Nothing is added if there are no
-    physically consistent links.
-
-    Parameters
-    ----------
-    result
-        The identified robot.
-    validations, samples
-        Predictions by the fit that has not seen them, and the samples predicted.
+    Its links have the standard parameters closest to CAD within the standard errors, its drives all
+    identified terms. Nothing is added if there are no physically consistent links.
     """
-    exported = exported_parameters(result.of_training) if validations else None
+    exported = exported_parameters(result)
     if exported is None:
-        return tuple(validations)
-    return tuple(
-        replace(each, metrics_exported=exported_metrics(result, exported, batch))
-        for each, batch in zip(validations, samples, strict=True)
-    )
+        return validation
+    state = (samples.q, samples.qd, samples.qdd)
+    _, torque = parameter_torque(result.model, result.base.drive, exported, *state)
+    return replace(validation, metrics_exported=beside_measured(samples, torque).metrics())
 
 
-def exported_parameters(result: IdentificationResult) -> np.ndarray | None:
+def exported_parameters(result: IdentificationResult) -> Array | None:
     """Return the standard parameters (n_standard,) of the exported robot; None without one."""
     try:
         found = as_built_parameters(result)
     except (IdentifiabilityError, DescriptionError):
         return None
     return found.parameters if found.consistent else None
-
-
-def exported_metrics(
-    result: IdentificationResult, parameters: np.ndarray, samples: Samples
-) -> TorqueMetrics:
-    """Return the torque errors of standard parameters (n_standard,) on samples."""
-    state = (samples.q, samples.qd, samples.qdd)
-    _, torque = parameter_torque(result.model, result.base.drive, parameters, *state)
-    return beside_measured(samples, torque).metrics()
 
 
 def torque_error(result: IdentificationResult, validations: Sequence[Validation]) -> VerdictError:

@@ -104,7 +104,10 @@ def conclude_study(
     final = with_effects(fits.final, fits.samples, effects, block_seconds=options.block_seconds)
     result = result if final.omitted is None else conclude(final)
     attribution = None if cause_data is None else attribute(result)
-    validations = with_exported(result, validations, held)
+    validations = tuple(
+        with_exported(result.of_training, each, samples)
+        for each, samples in zip(validations, held, strict=True)
+    )
     findings = (
         *result.findings,
         *_drive_findings(fits.choice),
