@@ -285,28 +285,35 @@ class Table:
     def _repr_html_(self) -> str:
         return self.as_html()
 
-    def as_text(self, full: bool = False) -> str:
+    def as_text(self, full: bool = False, most: int | None = None) -> str:
         """Return the table in fixed-width characters, lines ending in a newline.
+
+        Names that do not fit are numbered, with a legend below: nothing is cut in the middle.
 
         Parameters
         ----------
         full
             Show all rows, columns and notes whatever their width; else fit 80 columns.
+        most
+            Rows shown; None: all that a short text shows.
         """
         kept = [k for k, column in enumerate(self.columns) if full or not column.detail]
         rows = (
             self.rows
             if full or self.important is None
             else [self.rows[place] for place in self.important]
-        )
+        )[:most]
         columns = [self.columns[k] for k in kept]
         body = [
-            [
-                _clipped(_plain(column.shown(row[k])), None if full else column.width)
-                for k, column in zip(kept, columns, strict=True)
-            ]
+            [_plain(column.shown(row[k])) for k, column in zip(kept, columns, strict=True)]
             for row in rows
         ]
+        legend = [] if full else _number_names(body, columns)
+        if not full:
+            body = [
+                [_clipped(text, c.width) for text, c in zip(row, columns, strict=True)]
+                for row in body
+            ]
         cells = [_aligned([row[k] for row in body], c.align) for k, c in enumerate(columns)]
         heads = [[column.header for column in columns]]
         if any(column.unit for column in columns):
@@ -324,8 +331,9 @@ class Table:
         lines += [_line(row, widths, columns) for row in zip(*cells, strict=True)]
         if len(rows) < len(self.rows):
             lines.append(f"... {len(self.rows) - len(rows)} more rows")
+        lines += legend
         lines += numbered((*self.notes, *(self.details if full else ())))
-        return "".join(line.rstrip() + "\n" for line in lines)
+        return "".join(f"{line.rstrip()}\n" for line in lines)
 
     def as_html(self, identifier: str = "") -> str:
         """Return the table as an HTML `table` element.
@@ -393,6 +401,27 @@ def _plain(text: str) -> str:
 
 def _clipped(text: str, width: int | None) -> str:
     return text if width is None else shortened(text, width)
+
+
+def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]:
+    """Replace the names of the first column by numbers where one does not fit; return a legend.
+
+    A name is a text without spaces, which could only be cut in the middle.
+    """
+    if not body or columns[0].align != "left":
+        return []
+    widths = [
+        max(len(column.header), len(column.unit), *(len(row[k]) for row in body))
+        for k, column in enumerate(columns)
+    ]
+    room = min(_fitted(widths, columns)[0], columns[0].width or WIDTH)
+    names = [row[0] for row in body]
+    if not any(len(name) > room and " " not in name for name in names):
+        return []
+    for number, row in enumerate(body, start=1):
+        row[0] = str(number)
+    listed = ", ".join(f"{number} {name}" for number, name in enumerate(names, start=1))
+    return wrapped(listed, f"{columns[0].header}: ").split("\n")
 
 
 def _is_number(text: str) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, brief_files, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
     Filtering,
@@ -47,7 +47,10 @@ from asbuilt.workflow.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from asbuilt.executor import Workers
+    from asbuilt.workflow.study import Study
 
 
 def identify(
@@ -109,9 +112,35 @@ def identify(
         as_json,
         lambda: study_document(study, files, notes, carried),
         lambda: (
-            study_text(study, carried, full=full, cure_text=cure_text) + listed_files(files, notes)
+            study_text(study, carried, full=full, cure_text=cure_text)
+            + (
+                listed_files(files, notes)
+                if full
+                else brief_files(files, _next_command(study, robot, files))
+            )
         ),
     )
+
+
+ANOTHER_MOTION = ("nothing_held_out", "held_out_repeats", "nothing_simulated")
+MORE_MOTION = ("does_not_generalise", "not_excited")
+"""Reasons of a verdict that another log, or a designed motion, takes away."""
+
+
+def _next_command(study: Study, robot: str, files: Mapping[str, Path]) -> str:
+    """Return the command that follows from the verdict on a study."""
+    place, reasons = files.get("result"), study.verdict.reasons
+    if place is None:
+        return "the same with --out DIR, which writes report, robot and result"
+    if study.verdict.use == "no":
+        return f"asbuilt check {robot} LOG, and the findings above"
+    if set(reasons) & set(ANOTHER_MOTION):
+        return f"asbuilt validate {place} LOG of another motion"
+    if set(reasons) & set(MORE_MOTION):
+        return f"asbuilt excite {robot}, which designs a motion to record"
+    if reasons:
+        return f"asbuilt compare {place}, which says where it differs from CAD"
+    return f"asbuilt export {place} --mjcf robot.xml (or --urdf, --c)"
 
 
 def validate(

@@ -75,8 +75,12 @@ def test_data_that_repeat_the_training_motion_earn_no_use(study: Study) -> None:
 
 @pytest.mark.parametrize(
     ("effect", "in_model", "use"),
-    [("tilt", False, "with care"), ("gain", False, "with care"), ("tilt", True, "yes")]
-    + [("presliding", False, "yes")],
+    [
+        ("tilt", False, "with care"),
+        ("gain", False, "with care"),
+        ("tilt", True, "yes"),
+        ("presliding", False, "yes"),
+    ],
 )
 def test_what_is_named_but_not_in_the_model_dims(
     study: Study, effect: str, in_model: bool, use: str

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+
+import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.locking import lock_findings
@@ -15,7 +17,7 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.drives.drive_choice import DriveChoice
 from asbuilt.identification.effects.effect_findings import effect_findings
-from asbuilt.identification.effects.found_effect import tilts
+from asbuilt.identification.effects.found_effect import FoundEffect, tilts
 from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
@@ -126,7 +128,15 @@ def conclude_study(
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )
-    return Conclusion(result, consolidated(findings), trained, validations, attribution)
+    shares = _error_shares((*validations, *trained)[0].metrics_as_built)
+    return Conclusion(result, consolidated(findings, shares), trained, validations, attribution)
+
+
+def _error_shares(metrics: TorqueMetrics) -> dict[str, float]:
+    """Return the share of the squared torque error at each joint with a torque channel, by name."""
+    energy = np.nan_to_num(metrics.rms**2)
+    shares = (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist()
+    return dict(zip(metrics.joint_names, shares, strict=True))
 
 
 def _validation_findings(
@@ -151,7 +161,7 @@ def _model_findings(
     """Return what the samples say against the model: effects and causes that it lacks."""
     prepared = fits.prepared
     return (
-        *effect_findings(fits.effects),
+        *_effect_findings(fits.effects),
         *log_error_findings(
             result,
             fits.samples if fits.servo is None else (),
@@ -169,6 +179,14 @@ def _model_findings(
         *refinement_findings(fits.refined),
         *(cause_findings(attribution) if _has_masses(fits.model) else ()),
     )
+
+
+def _effect_findings(effects: Sequence[FoundEffect]) -> Iterator[Finding]:
+    """Yield a finding for each effect that something can be done about, with what it explains."""
+    for each, finding in zip(effects, effect_findings(effects), strict=True):
+        if finding.severity != "info":
+            kept = each.error_after / each.error_before if each.error_before > 0.0 else 1.0
+            yield replace(finding, torque=max(0.0, 1.0 - kept**2))
 
 
 def _has_masses(model: RobotModel) -> bool:
