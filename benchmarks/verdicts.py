@@ -28,6 +28,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
 from asbuilt.workflow.study import Study, identify
 from asbuilt.workflow.validation import validate
@@ -54,6 +55,7 @@ class Row:
     promised: float | None
     error: float | None
     cad: float
+    torque_ratio: float = np.nan
     repeats: bool = False
     problem: str = ""
 
@@ -86,8 +88,13 @@ def virtual_rows(numbers: Iterable[int], known: set[str]) -> Iterator[Row]:
             yield _failed(str(number), problem)
 
 
-def recorded_rows(names: Sequence[str], known: set[str], data: Path = SHARED) -> Iterator[Row]:
-    """Yield the rows of recordings: each set identified from, with each other motion."""
+def recorded_rows(
+    names: Sequence[str], known: set[str], validated: bool, data: Path = SHARED
+) -> Iterator[Row]:
+    """Yield the rows of recordings: each set identified from, with each other motion.
+
+    With `validated` the next recording validates, and the others are what the promise is about.
+    """
     for name, robot in (ROBOTS | FURTHER).items():
         if names and name not in names:
             continue
@@ -99,18 +106,22 @@ def recorded_rows(names: Sequence[str], known: set[str], data: Path = SHARED) ->
         ]
         for train in (*((k,) for k in range(len(logs))), *robot.sets):
             label = f"{name} {'+'.join(Path(logs[k].source).stem for k in train)}"
-            if label in known:
+            judges = [(max(train) + 1) % len(logs)] if validated else []
+            label += "".join(f" | {Path(logs[k].source).stem}" for k in judges)
+            others = [k for k in range(len(logs)) if k not in (*train, *judges)]
+            if label in known or not others:
                 continue
             try:
-                study = identify(model, [logs[k] for k in train])
+                study = identify(
+                    model, [logs[k] for k in train], validation=[logs[k] for k in judges]
+                )
             except AsbuiltError as problem:
                 yield _failed(label, problem)
                 continue
             used = [prepare_samples(logs[k], study.result.chain) for k in train]
-            for k, log in enumerate(logs):
-                if k not in train:
-                    near = repeated_share(used, prepare_samples(log, study.result.chain))
-                    yield _row(label, Path(log.source).stem, study, log, near >= REPEATED)
+            for k in others:
+                near = repeated_share(used, prepare_samples(logs[k], study.result.chain))
+                yield _row(label, Path(logs[k].source).stem, study, logs[k], near >= REPEATED)
 
 
 def _row(label: str, other: str, study: Study, log: Any, repeats: bool = False) -> Row:
@@ -126,8 +137,22 @@ def _row(label: str, other: str, study: Study, log: Any, repeats: bool = False) 
         verdict.error.decisive,
         exported.relative_error,
         found.metrics_cad.relative_error,
+        _rms(exported) / _promised_rms(study),
         repeats,
     )
+
+
+def _rms(metrics: TorqueMetrics) -> float:
+    """Return the RMS torque error of all joints together [N m]."""
+    return float(np.sqrt(np.nansum(metrics.rms**2)))
+
+
+def _promised_rms(study: Study) -> float:
+    """Return the RMS torque error [N m] of the recording that the promise goes by."""
+    each = [one.metrics_exported or one.metrics_as_built for one in study.validations]
+    if not each:
+        return _rms(study.result.train)
+    return _rms(max(each, key=lambda one: one.relative_error))
 
 
 def _failed(label: str, problem: AsbuiltError) -> Row:
@@ -146,8 +171,10 @@ def report(rows: Sequence[Row]) -> dict[str, float]:
             some = [each for each in part if each.use == use]
             right = sum(each.ratio <= TRUSTED for each in some)
             good = sum(each.good for each in some)
+            newton = sum(each.torque_ratio <= TRUSTED for each in some)
             print(
-                f"    {use:<10}{len(some):>4}; promise holds in {right}, better than CAD {good},"
+                f"    {use:<10}{len(some):>4}; promise holds in {right} (in N m {newton}), better"
+                f" than CAD {good},"
                 f" median error / promise {np.median([e.ratio for e in some] or [np.nan]):.2f}"
             )
             numbers |= {f"{kind} {use}": len(some), f"{kind} {use} right": right}
@@ -180,13 +207,16 @@ if __name__ == "__main__":
     parser.add_argument("--robots", type=int, default=0, help="how many virtual robots")
     parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--recorded", nargs="*", help="recorded robots (none named: all)")
+    parser.add_argument(
+        "--validated", action="store_true", help="another recording validates, not blocks"
+    )
     parser.add_argument("--out", type=Path, help="file of rows, which is continued")
     given = parser.parse_args()
     every = read_rows(given.out)
     known = {each.case for each in every}
     sources = [virtual_rows(range(given.first, given.first + given.robots), known)]
     if given.recorded is not None:
-        sources.append(recorded_rows(given.recorded, known))
+        sources.append(recorded_rows(given.recorded, known, given.validated))
     for source in sources:
         for row in source:
             every.append(row)

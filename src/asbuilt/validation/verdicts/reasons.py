@@ -19,6 +19,9 @@ from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.rules import DIMMING, OF_TORQUE, RULES
 from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError
 
+SAME_EFFECT = {"clock_wrong": "clock", "joint_gain_wrong": "gain", "zero_position_wrong": "zero"}
+"""Findings that name an effect which the selection of effects may name too."""
+
 
 class Reason(NamedTuple):
     """Hold the code of a finding, a phrase, and whether it forbids to use the model."""
@@ -42,7 +45,7 @@ def reasons_against(
         *_of_checks(findings),
         *_of_error(error, measure),
         *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
-        *_of_findings(findings, len(result.validation), measure),
+        *_of_findings(findings, result.effects, len(result.validation), measure),
         *(_of_effect(each) for each in result.effects if _dims(each)),
         *_of_joints(validations if measure == "torque" else ()),
         *_of_consistency(result),
@@ -73,16 +76,20 @@ def _of_error(error: VerdictError, measure: Measure) -> Iterator[Reason]:
 
 
 def _of_findings(
-    findings: Sequence[Finding], n_validations: int, measure: Measure
+    findings: Sequence[Finding],
+    effects: Sequence[FoundEffect],
+    n_validations: int,
+    measure: Measure,
 ) -> Iterator[Reason]:
-    """Yield the findings that dim a verdict, in the order of `DIMMING`."""
+    """Yield the findings that dim a verdict, in the order of `DIMMING`, but what is an effect."""
+    named = {each.effect for each in effects if _dims(each)}
     for code, phrase in DIMMING.items():
+        if SAME_EFFECT.get(code) in named:
+            continue
         found = [each for each in findings if each.code == code]
         if not found or (code == "held_out_repeats" and len(found) < n_validations):
             continue
         if measure == "rollout" and code in OF_TORQUE:
-            continue
-        if all(each.severity == "info" for each in found):
             continue
         names = list(dict.fromkeys(each.joint for each in found if each.joint is not None))
         yield Reason(code, phrase.format(at=f" at {joined(names, 3)}" if names else ""))
@@ -95,10 +102,12 @@ def _dims(each: FoundEffect) -> bool:
 
 
 def _of_effect(each: FoundEffect) -> Reason:
-    size = f"{significant(each.estimate, 2)} {each.unit}".rstrip()
+    family = EFFECTS[each.effect]
+    unit = "" if each.unit == "1" else each.unit
+    size = f"{significant(each.estimate, 2)} {unit}".rstrip()
     at = "" if each.joint is None else f" at {each.joint}"
-    title = EFFECTS[each.effect].title
-    return Reason("effect_found", f"the model lacks a {title} of {size}{at}")
+    where = "in the log" if family.of_log else "not in the model"
+    return Reason("effect_found", f"{family.title} of {size}{at} {where}")
 
 
 def _of_joints(validations: Sequence[Validation]) -> Iterator[Reason]:
@@ -160,6 +169,8 @@ def _of_simulation(result: IdentificationResult, simulated: Rollout | None) -> I
             yield Reason("nothing_simulated", "its motion was not simulated")
         return
     built, plain = simulated.as_built, simulated.no_physics
+    if built is not None and built.diverged:
+        yield Reason("rollout_diverged", "simulations diverge")
     if built is not None and plain is not None and built.rms_all > plain.rms_all:
         yield Reason(
             "rollout_worse_than_command",

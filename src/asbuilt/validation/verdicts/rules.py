@@ -53,8 +53,9 @@ DIMMING: Mapping[str, str] = MappingProxyType(
         "torque_unexplained": "torque that the model does not explain{at}",
         "joint_without_torque": "no torque was logged{at}",
         "not_excited": "what the motion does not excite is that of CAD",
+        "motion_narrow": "tested in part of the range only",
+        "motion_slow": "tested at low speed only",
         "does_not_generalise": "errors{at} are more than twice those in training",
-        "rollout_diverged": "simulations diverge",
     }
 )
 """What is said of each finding that speaks against a model, the weightiest first."""

@@ -28,6 +28,7 @@ from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.consolidation import consolidated
+from asbuilt.validation.generalisation.coverage import coverage_findings
 from asbuilt.validation.generalisation.effect_bias import with_effects
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
@@ -121,6 +122,7 @@ def conclude_study(
         *further,
         *_validation_findings(fits, train, validations, further),
         *repetition_findings(prepared.training, held),
+        *([] if prepared.validation else coverage_findings(fits.model, prepared.training)),
         *too_short,
         *unexplained_findings(trained),
         *_model_findings(fits, result, attribution, options),
