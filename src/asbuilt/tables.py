@@ -404,24 +404,26 @@ def _clipped(text: str, width: int | None) -> str:
 
 
 def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]:
-    """Replace the names of the first column by numbers where one does not fit; return a legend.
+    """Replace names that do not fit their column by numbers; return the lines of a legend.
 
     A name is a text without spaces, which could only be cut in the middle.
     """
-    if not body or columns[0].align != "left":
-        return []
     widths = [
-        max(len(column.header), len(column.unit), *(len(row[k]) for row in body))
+        max(len(column.header), len(column.unit), *(len(row[k]) for row in body), 0)
         for k, column in enumerate(columns)
     ]
-    room = min(_fitted(widths, columns)[0], columns[0].width or WIDTH)
-    names = [row[0] for row in body]
-    if not any(len(name) > room and " " not in name for name in names):
-        return []
-    for number, row in enumerate(body, start=1):
-        row[0] = str(number)
-    listed = ", ".join(f"{number} {name}" for number, name in enumerate(names, start=1))
-    return wrapped(listed, f"{columns[0].header}: ").split("\n")
+    fitted, legend = _fitted(widths, columns), list[str]()
+    for k, column in enumerate(columns):
+        room = min(fitted[k], column.width or WIDTH)
+        names = list(dict.fromkeys(row[k] for row in body))
+        if column.align != "left" or all(len(n) <= room or " " in n for n in names):
+            continue
+        number = {name: str(at) for at, name in enumerate(names, start=1) if " " not in name}
+        for row in body:
+            row[k] = number.get(row[k], row[k])
+        listed = ", ".join(f"{at} {name}" for name, at in number.items())
+        legend.append(wrapped(listed, f"{column.header}: "))
+    return legend
 
 
 def _is_number(text: str) -> bool:

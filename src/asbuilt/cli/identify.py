@@ -209,6 +209,7 @@ def validate(
     from asbuilt.validation.generalisation.cad_verdict import cad_verdict
     from asbuilt.workflow.simulation.rollout import roll_out_result
     from asbuilt.workflow.validation import validate as validate_result
+    from asbuilt.workflow.validation import validation_verdict
     from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
@@ -223,11 +224,16 @@ def validate(
     files |= write_rollouts(identified.model, simulated, out, animation)
     comparison = compare(identified, validation=validations)
     verdicts = [cad_verdict(validation) for validation in validations]
+    found = validation_verdict(identified, logged, validations, simulated)
     answer(
         as_json,
-        lambda: with_rollouts(validate_document(identified, validations, files=files), simulated),
+        lambda: with_rollouts(
+            validate_document(identified, validations, files=files, verdict=found), simulated
+        ),
         lambda: (
-            comparison.torque_table().as_text(full)
+            wrapped(found.text)
+            + "\n\n"
+            + comparison.torque_table().as_text(full)
             + "\n"
             + "\n".join(wrapped(each.sentence) for each in verdicts)
             + "\n"

@@ -60,8 +60,8 @@ def consolidated(
 ) -> tuple[Finding, ...]:
     """Return findings merged by cause and ranked: errors first, then by torque.
 
-    Of findings of one code, at several joints or in several recordings, one is left that names
-    them. What another warning explains (`EXPLAINED`) is information.
+    Of warnings and information of one code, at several joints or in several recordings, one is
+    left that names them. What another warning explains (`EXPLAINED`) is information.
 
     Parameters
     ----------
@@ -94,10 +94,11 @@ def _rank(finding: Finding) -> tuple[int, float, int]:
 
 
 def _together(findings: Sequence[Finding]) -> list[Finding]:
-    """Return one finding for all of a code and severity that name a joint or a recording."""
+    """Return one finding for all but errors of a code and severity at joints or in recordings."""
     groups: dict[object, list[Finding]] = {}
     for number, each in enumerate(findings):
-        repeats = (each.joint is not None or _source(each)) and each.code not in APART
+        apart = each.severity == "error" or each.code in APART
+        repeats = not apart and (each.joint is not None or _source(each))
         groups.setdefault((each.code, each.severity) if repeats else number, []).append(each)
     return [_naming_all(group) for group in groups.values()]
 

@@ -27,7 +27,7 @@ class Coverage:
     Parameters
     ----------
     position
-        Share of the range that every joint passes through.
+        Share of the range, at most a turn, that every joint passes through.
     speed
         Share of the speed limit that half of the joints reach.
     percentile
@@ -55,7 +55,8 @@ def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterato
         The samples of the fit.
     """
     limits = [joint.limits for joint in model.joints]
-    span = np.array([limit.upper - limit.lower for limit in limits])
+    turn = np.array([2.0 * np.pi if joint.is_revolute else np.inf for joint in model.joints])
+    span = np.minimum([limit.upper - limit.lower for limit in limits], turn)
     speed = np.array([limit.velocity for limit in limits])
     low, high = (
         np.array([edge(samples.q, axis=0) for samples in training]) for edge in (np.min, np.max)

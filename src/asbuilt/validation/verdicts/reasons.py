@@ -40,7 +40,7 @@ def reasons_against(
     measure: Measure,
 ) -> tuple[Reason, ...]:
     """Return what speaks against a model, the weightiest first; empty if nothing does."""
-    untested = not validations and not result.validation
+    untested = is_untested(result, findings, validations)
     return (
         *_of_checks(findings),
         *_of_error(error, measure),
@@ -52,6 +52,14 @@ def reasons_against(
         *_of_bodies(result),
         *_of_simulation(result, simulated),
     )
+
+
+def is_untested(
+    result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
+) -> bool:
+    """Return whether a model was measured on its training data alone."""
+    nothing = not (validations or result.validation)
+    return nothing or any(each.code == "nothing_held_out" for each in findings)
 
 
 def _of_checks(findings: Sequence[Finding]) -> Iterator[Reason]:

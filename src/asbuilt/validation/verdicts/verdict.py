@@ -18,7 +18,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share, significant
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.reasons import Reason, reasons_against
+from asbuilt.validation.verdicts.reasons import Reason, is_untested, reasons_against
 from asbuilt.validation.verdicts.rules import RULES
 from asbuilt.validation.verdicts.verdict_error import (
     Measure,
@@ -121,9 +121,9 @@ def _motion(
     result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
 ) -> str:
     """Return what the errors were measured on."""
-    if not validations and not result.validation:
+    if is_untested(result, findings, validations):
         return "its training data"
-    sources = [each.source for each in result.validation]
+    sources = [each.source for each in validations or result.validation]
     repeated = sum(each.code == "held_out_repeats" for each in findings)
     if repeated and repeated >= len(sources):
         return "the same motion"

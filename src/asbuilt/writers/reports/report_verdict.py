@@ -38,6 +38,20 @@ def verdict(study: Study) -> tuple[Card, ...]:
     )
 
 
+def torque_card(comparison: Comparison) -> Card:
+    """Return how well torque is predicted as built, beside CAD if that is known."""
+    cad, built = comparison.torque[0]
+    label = "torque error as built"
+    if cad is None:
+        return Card("neutral", share(built.relative_error), label)
+    better = built.relative_error < cad.relative_error
+    return Card(
+        "good" if better else "bad",
+        share(built.relative_error),
+        f"{label}, CAD {share(cad.relative_error)}",
+    )
+
+
 def consistency_card(result: IdentificationResult) -> Card:
     """Return whether physically consistent links and passive drives have the parameters."""
     if result.physically_consistent is None:
