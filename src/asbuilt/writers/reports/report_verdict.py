@@ -10,9 +10,11 @@ from asbuilt.identification.result.determination import Determination
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import Comparison
+from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
 
 Mood = Literal["good", "bad", "neutral"]
+MOODS: dict[Use, Mood] = {"yes": "good", "with care": "neutral", "no": "bad"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +29,26 @@ class Card:
 
 def verdict(study: Study) -> tuple[Card, ...]:
     """Return the cards of a study."""
-    found = study.verdict
-    mood: Mood = {"yes": "good", "with care": "neutral", "no": "bad"}[found.use]
-    error = share(found.error.decisive)
     return (
-        Card(mood, error, f"{found.measure} error of the exported robot", found.text),
+        error_card(study.verdict),
         consistency_card(study.result),
         determination_card(study.determination),
         difference_card(study.comparison),
     )
+
+
+def error_card(found: Verdict) -> Card:
+    """Return the error that decides, of the exported robot, beside CAD's."""
+
+    def text(value: float | None) -> str:
+        if found.measure == "torque" or value is None:
+            return share(value)
+        return f"{1e3 * value:.3g} mrad or mm"
+
+    cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
+    measured = "torque error" if found.measure == "torque" else "simulation error"
+    label = f"{measured} of the exported robot{cad}"
+    return Card(MOODS[found.use], text(found.error.decisive), label, found.text)
 
 
 def torque_card(comparison: Comparison) -> Card:

@@ -175,6 +175,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
     return {
         "robot": payload.robot,
         "frame": payload.frame,
+        "headline": payload_headline(payload),
         "n_samples": payload.n_samples,
         "mass": {
             "estimate": float(payload.values[0]),
