@@ -333,5 +333,6 @@ def _joint_table(result: IdentificationResult) -> Table:
                 float(result.train.r_squared[k]),
             )
         )
-    source = PurePath(shown.source).name
+    whole, _, held = shown.source.partition(", held out ")
+    source = f"{PurePath(whole).name}{', held out' if held else ''}"
     return Table(columns, tuple(rows), title=f"RMS torque error on {source}")

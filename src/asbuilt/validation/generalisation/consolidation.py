@@ -83,9 +83,9 @@ def consolidated(
 
 
 def _with_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
-    if finding.torque is not None or finding.joint not in shares:
+    if finding.torque is not None or finding.joint is None:
         return finding
-    return replace(finding, torque=shares[finding.joint])
+    return replace(finding, torque=shares.get(finding.joint))
 
 
 def _rank(finding: Finding) -> tuple[int, float, int]:
