@@ -188,15 +188,16 @@ def wrapped(text: str, first: str = "", *, lines: int | None = None) -> str:
     >>> print(wrapped("Standard errors are from blocks. " * 3, "[1] ", lines=1))
     [1] Standard errors are from blocks. Standard errors are from blocks. ...
     """
+    unbroken = _plain(text).replace(" %", "\u00a0%")  # a number stays with its sign
     return textwrap.fill(
-        _plain(text),
+        unbroken,
         WIDTH,
         initial_indent=first,
         subsequent_indent=" " * len(first),
         max_lines=lines,
         placeholder=" ...",
         break_on_hyphens=False,
-    )
+    ).replace("\u00a0", " ")
 
 
 def numbered(notes: Iterable[str]) -> list[str]:
