@@ -18,6 +18,7 @@ from asbuilt.cli.commands import SUBCOMMANDS
 
 JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "json.md"
 EXTRA = {
+    "check": {"files"},
     "identify": {"payload", "cutoff_sweep", "rollout", "refined"},
     "validate": {"rollout", "verdict", "headline", "use"},
 }
