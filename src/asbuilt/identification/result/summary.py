@@ -15,7 +15,7 @@ from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
-from asbuilt.identification.result.screen import screen_text
+from asbuilt.identification.screen import screen_text
 from asbuilt.tables import (
     WIDTH,
     Cell,
@@ -93,7 +93,8 @@ class Summary:
             Function that writes a cure, for an interface that adds the names of its options.
         """
         if not full:
-            return screen_text(self, cure_text)
+            opening = self.verdict or self.title
+            return screen_text(opening, self.found_effects, self.joints, self.findings, cure_text)
         rule = "-" * WIDTH
         parts = [wrapped(self.verdict), ""] if self.verdict else []
         parts += [wrapped(self.title), *_heading_lines(self.heading)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.identification.result.screen import effect_text
+from asbuilt.identification.screen import effect_text
 from asbuilt.tables import significant
 from asbuilt.writers.reports.section import Report, Section, sections
 

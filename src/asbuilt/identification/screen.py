@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.tables import WIDTH, plus_minus, significant, wrapped
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.summary import Summary
+from asbuilt.tables import WIDTH, Table, plus_minus, significant, wrapped
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,24 +45,40 @@ class ScreenRules:
 RULES = ScreenRules()
 
 
-def screen_text(summary: Summary, cure_text: Callable[[Cure], str] = str) -> str:
+def screen_text(
+    opening: str,
+    effects: Sequence[FoundEffect],
+    joints: Table,
+    findings: Sequence[Finding],
+    cure_text: Callable[[Cure], str] = str,
+) -> str:
     """Return what a user decides by, in a screen of 80 columns.
 
     Parameters
     ----------
-    summary
-        The summary.
+    opening
+        The verdict, or a title.
+    effects, joints, findings
+        What CAD lacks, the torque errors of the joints, and ranked findings.
     cure_text
         Function that writes a cure, for an interface that adds the names of its options.
     """
-    lines = wrapped(summary.verdict or summary.title).split("\n")
-    lines += effect_lines(summary.found_effects)
-    lines += ["", *summary.joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
+    lines = wrapped(opening).split("\n")
+    lines += effect_lines(effects, cure_text)
+    lines += ["", *joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
     room = RULES.lines - len(lines)
-    return "\n".join([*lines, *brief_findings(summary.findings, room, cure_text)]) + "\n"
+    return "\n".join([*lines, *brief_findings(findings, room, cure_text)]) + "\n"
 
 
-def effect_lines(effects: Sequence[FoundEffect]) -> list[str]:
+def _elsewhere(cure_text: Callable[[Cure], str]) -> str:
+    """Return where everything is, with the option of an interface that has one."""
+    option = cure_text(Cure("", {"full": True})).strip(" ()")
+    return f"({', '.join(filter(None, (option, 'summary.txt')))})"
+
+
+def effect_lines(
+    effects: Sequence[FoundEffect], cure_text: Callable[[Cure], str] = str
+) -> list[str]:
     """Return a line for each effect: what is in the model that CAD lacks, then what is not."""
     ordered = sorted(effects, key=lambda each: each.error_after - each.error_before)
     lines: list[str] = []
@@ -79,7 +91,8 @@ def effect_lines(effects: Sequence[FoundEffect]) -> list[str]:
             width = max(len(text) for text, _ in rows)
             lines.append(f"{head} (torque error without it -> with it):")
             lines += [wrapped(f"{text:<{width}}  {gain}", "  ") for text, gain in rows]
-            lines += [f"  ... {len(part) - most} more (--full)"] if len(part) > most else []
+            if len(part) > most:
+                lines.append(f"  ... {len(part) - most} more {_elsewhere(cure_text)}")
     return lines
 
 
@@ -116,5 +129,5 @@ def brief_findings(
         lines += text
         shown += 1
     left = len(findings) - shown
-    more = [f"... {left} more finding{'s' if left > 1 else ''} (--full, summary.txt)"]
+    more = [f"... {left} more finding{'s' if left > 1 else ''} {_elsewhere(cure_text)}"]
     return [*([""] if lines and len(lines) + 2 <= room else []), *lines, *(more if left else [])]
