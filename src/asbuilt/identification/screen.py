@@ -32,7 +32,7 @@ class ScreenRules:
         Characters of an effect beside its torque errors.
     """
 
-    lines: int = 27
+    lines: int = 25
     effects: int = 5
     named_only: int = 2
     findings: int = 5
