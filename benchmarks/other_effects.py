@@ -83,7 +83,7 @@ def cases(names: Sequence[str], data: Path = SHARED) -> Iterator[Case]:
             continue
         model, options = load_robot(str(data / "models" / robot.description)), dict(robot.options)
         folder = data / "data" / robot.folder
-        options["sheet"] = _sheet(options, folder)
+        options["sheet"] = sheet_of(options, folder)
         logs = [
             read_recordings([folder / each], model=model, **options)[0] for each in robot.recordings
         ]
@@ -98,7 +98,8 @@ def cases(names: Sequence[str], data: Path = SHARED) -> Iterator[Case]:
             yield Case(name, label, model, [samples[k] for k in train], others)
 
 
-def _sheet(options: dict[str, Any], folder: Path) -> Path | None:
+def sheet_of(options: dict[str, Any], folder: Path) -> Path | None:
+    """Return the recording sheet of a robot's options; None without one."""
     scratch = Path("out/sheet.toml")
     scratch.parent.mkdir(exist_ok=True)
     if "sheet" in options:

@@ -18,8 +18,9 @@ from asbuilt.cli.commands import SUBCOMMANDS
 
 JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "json.md"
 EXTRA = {
+    "check": {"files"},
     "identify": {"payload", "cutoff_sweep", "rollout", "refined"},
-    "validate": {"rollout", "verdict"},
+    "validate": {"rollout", "verdict", "headline", "use"},
 }
 """Fields that some options of a command add."""
 

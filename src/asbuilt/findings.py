@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -52,6 +52,9 @@ class Finding:
         Name of the joint concerned.
     time
         First affected time [s].
+    torque
+        Share of the squared torque error that it concerns: what it explains, or all of its joint's;
+        None: unknown.
     """
 
     code: str
@@ -60,9 +63,24 @@ class Finding:
     cure: Cure | None = None
     joint: str | None = None
     time: float | None = None
+    torque: float | None = None
 
     def __str__(self) -> str:
         return f"{self.severity.upper()} {self.code}: {self.text}"
+
+    def brief(self, room: int, cure_text: Callable[[Cure], str] = str) -> str:
+        """Return the message, up to the end of a clause that fits the room, and a cure that fits.
+
+        Nothing is cut inside a clause: a first clause that is longer is whole.
+
+        >>> finding = Finding("gap", "info", "a gap of 2 s at 4 s (row 9); others follow")
+        >>> finding.brief(30)
+        'a gap of 2 s at 4 s (row 9).'
+        """
+        message = self.message if len(self.message) < room else _clauses(self.message, room)
+        advice = "" if self.cure is None else cure_text(self.cure)
+        advice = f" {advice[:1].upper()}{advice[1:]}." if advice else ""
+        return f"{message}.{advice if len(message) + 1 + len(advice) <= room else ''}"
 
     @property
     def text(self) -> str:
@@ -87,7 +105,23 @@ class Finding:
             "call": "" if self.cure is None else self.cure.call,
             "joint": self.joint,
             "time": self.time,
+            "torque": self.torque,
         }
+
+
+def _clauses(text: str, room: int) -> str:
+    """Return a text up to the last end of a clause outside brackets within the room."""
+    ends = [
+        at
+        for mark in ("; ", ". ", ": ", ", ", " (")
+        for at in range(len(text))
+        if text.startswith(mark, at) and text[:at].count("(") == text[:at].count(")")
+    ]
+    strong = [at for at in ends if not text.startswith((", ", " ("), at)]
+    for kind in (strong, ends):
+        if fitting := [at for at in kind if at < room]:
+            return text[: max(fitting)]
+    return text[: min(ends)] if ends else text
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:

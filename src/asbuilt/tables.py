@@ -188,15 +188,16 @@ def wrapped(text: str, first: str = "", *, lines: int | None = None) -> str:
     >>> print(wrapped("Standard errors are from blocks. " * 3, "[1] ", lines=1))
     [1] Standard errors are from blocks. Standard errors are from blocks. ...
     """
+    unbroken = _plain(text).replace(" %", "\u00a0%")  # a number stays with its sign
     return textwrap.fill(
-        _plain(text),
+        unbroken,
         WIDTH,
         initial_indent=first,
         subsequent_indent=" " * len(first),
         max_lines=lines,
         placeholder=" ...",
         break_on_hyphens=False,
-    )
+    ).replace("\u00a0", " ")
 
 
 def numbered(notes: Iterable[str]) -> list[str]:
@@ -285,28 +286,35 @@ class Table:
     def _repr_html_(self) -> str:
         return self.as_html()
 
-    def as_text(self, full: bool = False) -> str:
+    def as_text(self, full: bool = False, most: int | None = None) -> str:
         """Return the table in fixed-width characters, lines ending in a newline.
+
+        Names that do not fit are numbered, with a legend below: nothing is cut in the middle.
 
         Parameters
         ----------
         full
             Show all rows, columns and notes whatever their width; else fit 80 columns.
+        most
+            Rows shown; None: all that a short text shows.
         """
         kept = [k for k, column in enumerate(self.columns) if full or not column.detail]
         rows = (
             self.rows
             if full or self.important is None
             else [self.rows[place] for place in self.important]
-        )
+        )[:most]
         columns = [self.columns[k] for k in kept]
         body = [
-            [
-                _clipped(_plain(column.shown(row[k])), None if full else column.width)
-                for k, column in zip(kept, columns, strict=True)
-            ]
+            [_plain(column.shown(row[k])) for k, column in zip(kept, columns, strict=True)]
             for row in rows
         ]
+        legend = [] if full else _number_names(body, columns)
+        if not full:
+            body = [
+                [_clipped(text, c.width) for text, c in zip(row, columns, strict=True)]
+                for row in body
+            ]
         cells = [_aligned([row[k] for row in body], c.align) for k, c in enumerate(columns)]
         heads = [[column.header for column in columns]]
         if any(column.unit for column in columns):
@@ -324,8 +332,9 @@ class Table:
         lines += [_line(row, widths, columns) for row in zip(*cells, strict=True)]
         if len(rows) < len(self.rows):
             lines.append(f"... {len(self.rows) - len(rows)} more rows")
+        lines += legend
         lines += numbered((*self.notes, *(self.details if full else ())))
-        return "".join(line.rstrip() + "\n" for line in lines)
+        return "".join(f"{line.rstrip()}\n" for line in lines)
 
     def as_html(self, identifier: str = "") -> str:
         """Return the table as an HTML `table` element.
@@ -393,6 +402,29 @@ def _plain(text: str) -> str:
 
 def _clipped(text: str, width: int | None) -> str:
     return text if width is None else shortened(text, width)
+
+
+def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]:
+    """Replace names that do not fit their column by numbers; return the lines of a legend.
+
+    A name is a text without spaces, which could only be cut in the middle.
+    """
+    widths = [
+        max(len(column.header), len(column.unit), *(len(row[k]) for row in body), 0)
+        for k, column in enumerate(columns)
+    ]
+    fitted, legend = _fitted(widths, columns), list[str]()
+    for k, column in enumerate(columns):
+        room = min(fitted[k], column.width or WIDTH)
+        names = list(dict.fromkeys(row[k] for row in body))
+        if column.align != "left" or all(len(n) <= room or " " in n for n in names):
+            continue
+        number = {name: str(at) for at, name in enumerate(names, start=1) if " " not in name}
+        for row in body:
+            row[k] = number.get(row[k], row[k])
+        listed = ", ".join(f"{at} {name}" for name, at in number.items())
+        legend.append(wrapped(listed, f"{column.header}: "))
+    return legend
 
 
 def _is_number(text: str) -> bool:

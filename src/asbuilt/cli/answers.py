@@ -188,3 +188,14 @@ def listed_files(
 
     width = max(11, *(len(kind) for kind in files))
     return "\n".join(["", "", "written:", *file_lines(files, notes or {}, width)])
+
+
+def brief_files(files: Mapping[str, Path], following: str) -> str:
+    """Return lines that name the folder of the files written, and the command that follows."""
+    from asbuilt.tables import wrapped as fitted
+
+    lines = [fitted(following, "Next: ")]
+    if files:
+        names = ", ".join(path.name for path in files.values())
+        lines.insert(0, fitted(f"{next(iter(files.values())).parent}: {names}", "Written to "))
+    return "\n".join(["", *lines])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, brief_files, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
     Filtering,
@@ -47,7 +47,10 @@ from asbuilt.workflow.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from asbuilt.executor import Workers
+    from asbuilt.workflow.study import Study
 
 
 def identify(
@@ -109,9 +112,35 @@ def identify(
         as_json,
         lambda: study_document(study, files, notes, carried),
         lambda: (
-            study_text(study, carried, full=full, cure_text=cure_text) + listed_files(files, notes)
+            study_text(study, carried, full=full, cure_text=cure_text)
+            + (
+                listed_files(files, notes)
+                if full
+                else brief_files(files, _next_command(study, robot, files))
+            )
         ),
     )
+
+
+ANOTHER_MOTION = ("nothing_held_out", "held_out_repeats", "nothing_simulated")
+MORE_MOTION = ("does_not_generalise", "not_excited")
+"""Reasons of a verdict that another log, or a designed motion, takes away."""
+
+
+def _next_command(study: Study, robot: str, files: Mapping[str, Path]) -> str:
+    """Return the command that follows from the verdict on a study."""
+    place, reasons = files.get("result"), study.verdict.reasons
+    if place is None:
+        return "the same with --out DIR, which writes report, robot and result"
+    if study.verdict.use == "no":
+        return f"asbuilt check {robot} LOG, and the findings above"
+    if set(reasons) & set(ANOTHER_MOTION):
+        return f"asbuilt validate {place} LOG of another motion"
+    if set(reasons) & set(MORE_MOTION):
+        return f"asbuilt excite {robot}, which designs a motion to record"
+    if reasons:
+        return f"asbuilt compare {place}, which says where it differs from CAD"
+    return f"asbuilt export {place} --mjcf robot.xml (or --urdf, --c)"
 
 
 def validate(
@@ -180,6 +209,7 @@ def validate(
     from asbuilt.validation.generalisation.cad_verdict import cad_verdict
     from asbuilt.workflow.simulation.rollout import roll_out_result
     from asbuilt.workflow.validation import validate as validate_result
+    from asbuilt.workflow.validation import validation_verdict
     from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
@@ -194,11 +224,16 @@ def validate(
     files |= write_rollouts(identified.model, simulated, out, animation)
     comparison = compare(identified, validation=validations)
     verdicts = [cad_verdict(validation) for validation in validations]
+    found = validation_verdict(identified, logged, validations, simulated)
     answer(
         as_json,
-        lambda: with_rollouts(validate_document(identified, validations, files=files), simulated),
+        lambda: with_rollouts(
+            validate_document(identified, validations, files=files, verdict=found), simulated
+        ),
         lambda: (
-            comparison.torque_table().as_text(full)
+            wrapped(found.text)
+            + "\n\n"
+            + comparison.torque_table().as_text(full)
             + "\n"
             + "\n".join(wrapped(each.sentence) for each in verdicts)
             + "\n"

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
+from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
     FixedBase,
     Full,
     Logs,
+    Out,
     Robot,
     RobotOrResult,
     Seed,
@@ -47,6 +48,7 @@ def check(
             help="compute the information efficiency, relative to the limits (takes a second)",
         ),
     ] = True,
+    out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -61,6 +63,7 @@ def check(
     )
     from asbuilt.experiment.quality.checks import check_recording
     from asbuilt.workflow.information_efficiency import recorded_information
+    from asbuilt.writers.files import path_texts
     from asbuilt.writers.tables.tabular import check_document
 
     checks = [check_recording(model, recording) for recording in recordings]
@@ -68,13 +71,23 @@ def check(
         recorded_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
     ]
+    files = {}
+    if out is not None:
+        from asbuilt.writers.reports.check_page import write_check_page
+
+        files = write_check_page(out, recordings, checks, finding_text)
     answer(
         as_json,
-        lambda: check_document(model, checks, carried),
-        lambda: "\n\n".join(
-            found.as_text(full=full, cure_text=cure_text)
-            + ("" if part is None else f"\n{part.as_text(cure_text)}")
-            for found, part in zip(checks, carried, strict=True)
+        lambda: (
+            check_document(model, checks, carried) | ({"files": path_texts(files)} if files else {})
+        ),
+        lambda: (
+            "\n\n".join(
+                found.as_text(full=full, cure_text=cure_text)
+                + ("" if part is None else f"\n{part.as_text(cure_text)}")
+                for found, part in zip(checks, carried, strict=True)
+            )
+            + listed_files(files)
         ),
     )
     if not all(found.ok for found in checks):

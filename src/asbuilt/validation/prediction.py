@@ -42,7 +42,8 @@ class Validation:
 
     `velocity` is the joint velocity there, `drive` the torque of the identified drive terms that
     follow velocity (friction, offset). `metrics_as_built` and `metrics_cad` measure the two
-    predictions. Torques are in N m or N, as `units` says joint by joint.
+    predictions, `metrics_exported` that of the robot which exports carry (None: unknown). Torques
+    are in N m or N, as `units` says joint by joint.
     """
 
     source: str
@@ -56,6 +57,7 @@ class Validation:
     drive: Array
     metrics_as_built: TorqueMetrics
     metrics_cad: TorqueMetrics
+    metrics_exported: TorqueMetrics | None = None
 
     def __post_init__(self) -> None:
         for values in (self.t, self.velocity, self.measured, self.predicted):

@@ -84,8 +84,8 @@ class RecordedInformation:
         """
         limits = f"; limits of {joined(list(self.assumed))} assumed" if self.assumed else ""
         paragraphs = [
-            f"Information efficiency {100 * self.efficiency.d_efficiency:.2g} %, of an upper bound"
-            f" by the limits that no motion attains (drive terms {self.drive}{limits})."
+            f"The motion has {100 * self.efficiency.d_efficiency:.2g} % of the information that the"
+            f" joint limits allow at most (drive terms {self.drive}{limits})."
             f"{self._beyond()}"
         ]
         if self._lacking:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison, compare
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
+from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.fitting.conclusion import conclude_study
 from asbuilt.workflow.fitting.fits import fit_study
@@ -48,6 +50,10 @@ from asbuilt.workflow.simulation.rollout import (
     simulated_parts,
     simulated_rollouts,
 )
+
+HORIZON_OF_VERDICT = 0.5
+"""Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
+enough that what is left out does not add up."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,8 +82,10 @@ class Study:
         How the refinement by trajectories went; None without one.
     effects
         What the recordings show and the description lacks, in the model or named only.
+    stored_verdict
+        The verdict that was stored with a study; None: it follows from the rest.
 
-    A study that is read from a file has the result and the findings alone.
+    A study that is read from a file has the result, the findings and the verdict alone.
     """
 
     result: IdentificationResult
@@ -90,6 +98,7 @@ class Study:
     rollouts: tuple[Rollout, ...] = ()
     refined: Refined | None = None
     effects: tuple[FoundEffect, ...] = ()
+    stored_verdict: Verdict | None = None
 
     def __repr__(self) -> str:
         codes = ", ".join(finding.code for finding in self.findings) or "none"
@@ -100,7 +109,7 @@ class Study:
 
     def summary(self) -> Summary:
         """Summarise result and findings as text, HTML or CSV."""
-        return summarise(self.result, findings=self.findings)
+        return summarise(self.result, findings=self.findings, verdict=self.verdict.text)
 
     def plot(self, kind: str = "torque", axes: Any = None) -> Array:
         """Draw a figure as `IdentificationResult.plot`, of what was held out if anything was."""
@@ -113,6 +122,13 @@ class Study:
         return compare(self.result, validation=(self.validations or self.training) or None)
 
     @cached_property
+    def verdict(self) -> Verdict:
+        """Whether to use the model, in a sentence with its number."""
+        return self.stored_verdict or study_verdict(
+            self.result, self.findings, self.validations, self.rollouts
+        )
+
+    @cached_property
     def determination(self) -> Determination:
         """What the recordings determine, and which further motion would help."""
         return determination(self.result)
@@ -120,7 +136,9 @@ class Study:
     def to_json(self) -> str:
         """Return result and findings as JSON that `from_json` reads back to the last bit."""
         said = [{"code": each.code, "message": each.text} for each in self.findings]
-        return self.result.to_json(warnings=said, study={"findings": plain(self.findings)})
+        return self.result.to_json(
+            warnings=said, study={"findings": plain(self.findings), "verdict": plain(self.verdict)}
+        )
 
     @classmethod
     def from_json(cls, text: str) -> Study:
@@ -136,13 +154,15 @@ class Study:
             return cls(result, result.findings)
         try:
             found = tuple(restored(Finding, item) for item in whole["study"]["findings"])
+            verdict = whole["study"].get("verdict")
+            verdict = None if verdict is None else restored(Verdict, verdict)
         except (KeyError, TypeError, ValueError, AttributeError) as problem:
             raise ResultError(
-                f"the findings of the stored result are damaged: {type(problem).__name__}"
+                f"findings or verdict of the stored result are damaged: {type(problem).__name__}"
                 f" {problem}",
                 cure=Cure("identify again"),
             ) from problem
-        return cls(result, found)
+        return cls(result, found, stored_verdict=verdict)
 
 
 def identify(
@@ -215,8 +235,8 @@ def identify(
         raise _all_fitted()
     prepared, cutoffs = _prepared(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    parts = SimulatedParts()
-    if options.refine or options.rollout:
+    parts, horizons = SimulatedParts(), options.rollout or _horizons_of_verdict(servo)
+    if options.refine or horizons:
         parts = simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
@@ -235,10 +255,10 @@ def identify(
         effects=concluded.result.effects,
         refined=fits.refined,
     )
-    if not options.rollout:
+    if not horizons or not (options.rollout or parts.held_out):
         return study
     report("roll out", 0.0)
-    return _rolled_out(study, parts.held_out, options, workers)
+    return _rolled_out(study, parts.held_out, horizons, workers)
 
 
 def _prepared(
@@ -276,6 +296,12 @@ def _prepared(
     return prepared, sweeps[0] if sweeps else None
 
 
+def _horizons_of_verdict(servo: ServoEstimate | None) -> tuple[float, ...]:
+    """Return the length of the rollouts that a verdict on a robot under commands goes by."""
+    simulates = servo is not None and find_spec("mujoco") is not None
+    return (HORIZON_OF_VERDICT,) if simulates else ()
+
+
 def _all_fitted() -> UsageError:
     return UsageError(
         "a rollout needs a recording, or a part of one, that the model is not fitted to",
@@ -286,14 +312,14 @@ def _all_fitted() -> UsageError:
 def _rolled_out(
     study: Study,
     held: Sequence[Simulated],
-    options: StudyOptions,
+    horizons: Sequence[float],
     workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
     if not held:
         raise _all_fitted()
     result = study.result.of_training
-    rollouts = simulated_rollouts([result] * len(held), held, options.rollout, workers=workers)
+    rollouts = simulated_rollouts([result] * len(held), held, horizons, workers=workers)
     findings = ranked((*study.findings, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)
 

@@ -15,9 +15,13 @@ from asbuilt.experiment.logs.recordings import (
     fitted_recordings,
 )
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Finding
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import Validation, validate_description, validate_samples
+from asbuilt.validation.rollout.rollout import Rollout
+from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
+from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import digest, prepare
 from asbuilt.workflow.servo import with_servo
@@ -61,11 +65,30 @@ def validate(
     result = result.result if isinstance(result, Study) else result
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
-    return tuple(
-        validate_samples(as_validated(result, samples), samples, cad=cad)
-        for recording in as_recordings(result.model, recordings)
-        for samples in (_prepared(result, recording, options),)
+    found = []
+    for recording in as_recordings(result.model, recordings):
+        samples = _prepared(result, recording, options)
+        fitted = as_validated(result, samples)
+        found.append(with_exported(fitted, validate_samples(fitted, samples, cad=cad), samples))
+    return tuple(found)
+
+
+def validation_verdict(
+    result: IdentificationResult,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    validations: Sequence[Validation],
+    rollouts: Sequence[Rollout] = (),
+) -> Verdict:
+    """Return the verdict on a result by recordings, which earn no use if they are its own.
+
+    `validations` and `rollouts` are of these recordings.
+    """
+    logged = as_recordings(result.model, recordings)
+    own = result.holdout is None and all(
+        not isinstance(each, Samples) and digest(head_of(each)) in result.digests for each in logged
     )
+    said = (Finding("nothing_held_out", "warning", "the result was identified from these logs"),)
+    return study_verdict(result, said if own else (), validations, rollouts)
 
 
 def validate_robot(

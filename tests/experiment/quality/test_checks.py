@@ -415,10 +415,11 @@ def test_text_starts_with_the_verdict_and_fits_a_terminal(
 ) -> None:
     check = check_recording(iiwa, clean.flipped())
     lines = check.as_text().splitlines()
-    assert lines[0].startswith("1 ERROR")
-    assert lines[0].endswith("log.csv on kuka-iiwa7-r800")
-    assert lines[1] == "4000 samples x 7 joints, 20 s at 200 Hz"
-    assert lines[3].startswith("ERROR torque_flipped: the torque sign looks flipped")
+    assert lines[0].startswith("NOT READY: the torque sign looks flipped.")
+    assert "(1 ERROR in log.csv, 20 s of 7 joints at 200 Hz)" in check.headline
+    assert "log.csv on kuka-iiwa7-r800, 4000 samples" in lines
+    assert any(line.startswith("ERROR torque_flipped: the torque sign") for line in lines)
+    assert check_recording(iiwa, clean).headline.startswith("READY")
     assert max(map(len, check.as_text(full=True).splitlines())) <= 80
     assert "torque_flipped" in repr(check)
     assert "<table>" in check._repr_html_()

@@ -1,4 +1,4 @@
-"""Warnings merged by cause: few in the text, all of them kept."""
+"""Findings merged by cause, and ordered by torque."""
 
 from asbuilt.findings import Cure, Finding
 from asbuilt.validation.generalisation.consolidation import consolidated
@@ -18,7 +18,7 @@ def test_one_warning_names_the_joints_of_the_others():
     )
     (only,) = warnings_of(found)
     assert only.message == "log.csv: A1 is off; likewise A2 and A3"
-    assert [each.joint for each in found if each.severity == "info"] == ["A2", "A3"]
+    assert found == (only,)
 
 
 def test_one_warning_names_the_recordings_of_the_others():
@@ -34,7 +34,19 @@ def test_one_warning_names_the_recordings_of_the_others():
         "one.csv: A1 is off; likewise in two.csv",
         "one.csv: too little; likewise in two.csv",
     ]
-    assert len(found) == 4
+    assert len(found) == 2
+
+
+def test_warnings_are_ordered_by_the_torque_that_they_concern():
+    found = consolidated(
+        [warning("one", joint="A1"), warning("two", joint="A2"), warning("three")],
+        {"A1": 0.1, "A2": 0.7},
+    )
+    assert [(each.code, each.torque) for each in found] == [
+        ("two", 0.7),
+        ("one", 0.1),
+        ("three", None),
+    ]
 
 
 def test_what_another_warning_explains_is_information_and_only_then():

@@ -86,6 +86,6 @@ def test_two_recordings_of_a_real_arm_are_one_motion(
         ).findings
     }
     assert (
-        "measurements_2.npz repeats the training motion (100 % of its states"
+        "measurements_2.npz repeats the training motion in 100 % of its states"
         in said["held_out_repeats"]
     )

@@ -105,7 +105,7 @@ def test_a_result_without_held_out_data_says_so(example: Any) -> None:
         example.result, validation=(), cad=replace(example.result.cad, source="train.csv")
     )
     text = report_html(Study(result, result.findings))
-    assert "No recording was held out" in text
+    assert "tested on its training data only" in text
     assert 'id="torque-plot"' not in text
 
 
@@ -118,11 +118,10 @@ def test_verdict_shouts_when_the_fit_is_worse_than_the_design(example: Any) -> N
     )
     cards = verdict(Study(result, ()))
     assert cards[0].mood == "bad"
-    assert "WORSE" in cards[0].sentence
+    assert cards[0].sentence.startswith("DO NOT USE: CAD is better; ")
     assert cards[1].mood == "good"
     good = verdict(Study(example.result, ()))
-    assert good[0].mood == "good"
-    assert "times smaller" in good[0].sentence
+    assert good[0].sentence.startswith("USE WITH CARE: physically inconsistent")
     assert good[1].mood == "bad"
 
 
@@ -137,7 +136,7 @@ def test_cards_agree_with_each_other(example: Any) -> None:
         p.determined and p.std_error <= 0.5 * each
         for p, each in zip(example.result.parameters, size, strict=True)
     )
-    card = verdict(study)[2]
+    card = verdict(study)[-2]
     assert card.figure == f"{expected} of {example.result.n_base}"
     assert card.figure in card.sentence
 

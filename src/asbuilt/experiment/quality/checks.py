@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
+from pathlib import PurePath
 
 import numpy as np
 
@@ -56,6 +57,8 @@ FROM_COMMANDS = (
 )
 """Codes of findings that wrong commands explain."""
 _WIDTH = 80
+_HEADLINE = 160
+"""Characters of the first finding in the headline."""
 _MOST_INFOS = 3
 """Findings of severity "info" in the short text."""
 
@@ -119,6 +122,17 @@ class RecordingCheck:
         ]
         return ", ".join(counts).replace("ERRORs", "ERRORS") or "No errors, no warnings"
 
+    @property
+    def headline(self) -> str:
+        """What a user decides by: whether the recording can be identified from, and why not."""
+        name = PurePath(self.source).name or self.source
+        size = f"{self.duration:.4g} s of {self.n_joints} joints at {self.rate:.4g} Hz"
+        if not (self.errors or self.warnings):
+            return f"READY: {name} has no errors and no warnings in {size}."
+        first = (*self.errors, *self.warnings)[0].brief(_HEADLINE).rstrip(".")
+        state = "NOT READY" if self.errors else "READY WITH CARE"
+        return f"{state}: {first} ({self.verdict} in {name}, {size})."
+
     def as_text(self, *, full: bool = False, cure_text: Callable[[Cure], str] = str) -> str:
         """Return the verdict and the findings in lines of 80 columns, errors first.
 
@@ -130,10 +144,9 @@ class RecordingCheck:
         cure_text
             Function that writes a cure, for an interface that adds the names of its options.
         """
-        size = f"{self.n_samples} samples x {self.n_joints} joints"
         head = [
-            *textwrap.wrap(f"{self.verdict}: {self.source} on {self.robot}", _WIDTH),
-            f"{size}, {self.duration:.4g} s at {self.rate:.4g} Hz",
+            *textwrap.wrap(self.headline, _WIDTH),
+            *textwrap.wrap(f"{self.source} on {self.robot}, {self.n_samples} samples", _WIDTH),
         ]
         groups = [[finding] for finding in self.findings] if full else self._merged()
         infos = [group for group in groups if group[0].severity == "info"]

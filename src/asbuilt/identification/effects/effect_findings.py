@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,9 +31,15 @@ def effect_findings(effects: Effects) -> tuple[Finding, ...]:
             ),
         )
     return (
-        *(_finding(each, effects.model) for each in effects.found),
+        *(replace(_finding(each, effects.model), torque=_share(each)) for each in effects.found),
         *_unseen(effects),
     )
+
+
+def _share(each: FoundEffect) -> float:
+    """Return the share of the squared torque error that an effect takes away."""
+    kept = each.error_after / each.error_before if each.error_before > 0.0 else 1.0
+    return max(0.0, 1.0 - kept**2)
 
 
 def _finding(each: FoundEffect, model: RobotModel) -> Finding:

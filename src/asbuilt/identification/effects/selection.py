@@ -249,9 +249,9 @@ class Selection:
         return replace(candidate, places=candidate.places[acts[candidate.places]])
 
     def held_out_error(self, taken: Sequence[Candidate]) -> float:
-        """Return the relative torque error with these effects, the median of held-out groups.
+        """Return the relative torque error with these effects, the geometric mean of groups.
 
-        A group that the others hardly determine says little of either model.
+        So a group that the others hardly determine counts no more than others.
         """
         none = np.zeros(0, dtype=np.int64)
         squares = []
@@ -259,8 +259,9 @@ class Selection:
             z = self._fit(self._total - gram, self._inside(taken), none).residual
             error = sum(float(z[places] @ own @ z[places]) for places, own in joints)
             torque = sum(float(own[-1, -1]) for _, own in joints)
-            squares.append(max(error, 0.0) / torque if torque > 0.0 else 0.0)
-        return float(np.sqrt(np.median(squares)))
+            if torque > 0.0:
+                squares.append(max(error / torque, float(np.finfo(np.float64).eps) ** 2))
+        return float(np.exp(0.5 * np.mean(np.log(squares)))) if squares else 0.0
 
     def values(self) -> Array:
         """Return all parameters (P,) of the fit to everything, zero for what is not taken."""

@@ -339,22 +339,19 @@ def _chosen(
             candidates.failed.append(candidates.known.pop(choice.chosen).name)
             candidates.fits.pop(choice.chosen)
     n_folds = choice.errors.shape[1]
-    error = choice.sentence(choice.chosen)
-    why = f"{choice.candidates[choice.chosen].name} predicts other motions best"
+    name, error = choice.candidates[choice.chosen].name, choice.sentence(choice.chosen)
+    why = f"{name} has the least error on other motion"
     if choice.chosen != choice.best:
+        nearest = "the fit closest to CAD" if masses else "the first consistent fit"
         why = (
-            f"{choice.candidates[choice.chosen].name} is"
-            f" {'closest to CAD' if masses else 'the first consistent one'} of those that predict"
-            " other motions as well as the best within one standard error"
+            f"{name} is {nearest} whose error on other motion is within one standard error of the"
+            " least"
         )
-        error += f", of the best, {choice.sentence(choice.best)}"
+        error += f", least {choice.sentence(choice.best)}"
     if fit is not free:
-        error += f", of {choice.sentence(len(choice.candidates) - 1)}"
+        error += f", {choice.sentence(len(choice.candidates) - 1)}"
     beyond = " + expected beyond them" if np.any(choice.extrapolation > 0.0) else ""
-    why += (
-        f" (squared error in noise variances on {n_folds} groups of held-out time blocks{beyond}:"
-        f" of {error})"
-    )
+    why += f" ({error}: squared, in noise variances, on {n_folds} groups of time blocks{beyond})"
     notes = (choice.motion_note, *_failures(candidates), *(() if masses else (SCALE_OF_TORQUE,)))
     if fit is not free:
         return _joined(information, fit, free), why, notes

@@ -75,9 +75,9 @@ class MotionChoice:
     def motion_note(self) -> str:
         """How different the held-out motions are, as text."""
         return (
-            f"Held-out motions: {self.errors.shape[1]} groups of time blocks with"
-            f" {self.novelty:.2g} times the leverage of the motion used (1: alike). Random motion"
-            f" within the joint limits has {self.reach:.2g} times their leverage (1: as different)"
+            f"Errors of parameters count {self.novelty:.2g} times as much in the"
+            f" {self.errors.shape[1]} groups of motion held out as in the motion used, and"
+            f" {self.reach:.2g} times as much again in random motion within the joint limits"
         )
 
 

@@ -54,8 +54,9 @@ def _determination_findings(
     if poor:
         yield Finding(
             "poorly_determined",
-            "warning",
-            f"Poorly determined (standard error above half the value): {joined(poor, MOST_NAMES)}",
+            "info",
+            f"{len(poor)} parameters have standard errors above half their value:"
+            f" {joined(poor, MOST_NAMES)}",
             Cure("record longer, enrich the motion, or leave out drive terms"),
         )
     condition = estimate.solution.scaled_condition_number

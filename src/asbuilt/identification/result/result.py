@@ -284,7 +284,7 @@ class IdentificationResult:
         """One over the standard deviation of each joint's torque residual, (n,); always finite."""
         return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
 
-    @property
+    @cached_property
     def of_training(self) -> IdentificationResult:
         """The result with the values of the fit that `validation` is of; itself if that is it."""
         if self.trained is None:

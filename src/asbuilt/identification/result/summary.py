@@ -5,14 +5,17 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.bodies.consistency import non_passive_drives
+from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
+from asbuilt.identification.screen import screen_text
 from asbuilt.tables import (
     WIDTH,
     Cell,
@@ -25,7 +28,6 @@ from asbuilt.tables import (
     percent,
     rounded,
     share,
-    shortened,
     significant,
     wrapped,
 )
@@ -34,14 +36,7 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 
 EXPRESSION_WIDTH = 34
-MOST_FINDINGS = 3
-FINDING_LINES = 3
-SPARE = 20
-"""Characters that breaking the lines of a finding at spaces may cost."""
 MOST_PARAMETERS = 10
-MOST_LINKS = 8
-UNEXPLAINED = 0.3
-"""Relative training error from which the model does not describe the robot."""
 DROPPED = "dropped"
 """Text for the error of a parameter that the estimator set to zero."""
 
@@ -65,9 +60,9 @@ class Summary:
     notes
         Assumptions: the standard errors, what is determined, then the estimator's decisions.
     verdict
-        What forbids to use the result, in capitals; empty if nothing does.
-    effects
-        What CAD lacks and the recordings show, with where it is: in the model or not.
+        Whether to use the model, in a sentence with its number; empty for a result alone.
+    found_effects
+        What CAD lacks and the recordings show, in the model or not.
     """
 
     title: str
@@ -77,7 +72,7 @@ class Summary:
     joints: Table
     notes: tuple[str, ...]
     verdict: str = ""
-    effects: tuple[tuple[str, str], ...] = ()
+    found_effects: tuple[FoundEffect, ...] = ()
 
     def __str__(self) -> str:
         return self.as_text()
@@ -92,20 +87,30 @@ class Summary:
         Parameters
         ----------
         full
-            Show all findings, parameters and notes; else what fits one screen of 80 columns.
+            Show all findings, parameters and notes; else one screen: verdict, effects, joints and
+            the first findings.
         cure_text
             Function that writes a cure, for an interface that adds the names of its options.
         """
+        if not full:
+            opening = self.verdict or self.title
+            return screen_text(opening, self.found_effects, self.joints, self.findings, cure_text)
         rule = "-" * WIDTH
-        parts = [wrapped(self.verdict)] if self.verdict else []
+        parts = [wrapped(self.verdict), ""] if self.verdict else []
         parts += [wrapped(self.title), *_heading_lines(self.heading)]
         parts += [wrapped(text, f"{label:<14} ") for label, text in self.effects]
-        if self.findings:
-            parts += [rule, *finding_lines(self.findings, full, cure_text)]
+        parts += [rule, *finding_lines(self.findings, cure_text)] if self.findings else []
         parts += [rule, self.joints.as_text(full).rstrip("\n")]
-        parts += [rule, self.parameters.as_text(full).rstrip("\n")]
-        parts += numbered(self.notes if full else self.notes[:2])
+        parts += [rule, self.parameters.as_text(full).rstrip("\n"), *numbered(self.notes)]
         return "\n".join(parts) + "\n"
+
+    @property
+    def effects(self) -> tuple[tuple[str, str], ...]:
+        """Where each effect is, in the model or not, with its sentence."""
+        return tuple(
+            ("in the model" if each.in_model else "not in model", each.text)
+            for each in self.found_effects
+        )
 
     def as_html(self) -> str:
         """Return a fragment: heading, findings, both tables and the notes, every text escaped."""
@@ -134,19 +139,10 @@ class Summary:
         if totals is None:
             return self
         cad, built = (significant(mass) for mass in totals)
+        of_links = "; ".join(f"{name} {_mass(cad)} -> {_mass(built)}" for name, cad, built in links)
+        more = (("each link [kg]", of_links),) if len(links) > 1 else ()
         mass = ("mass of links", f"CAD {cad} kg, as built {built} kg")
-        each = [f"{name} {_mass(cad)} -> {_mass(built)}" for name, cad, built in links]
-        more = [f"and {len(each) - MOST_LINKS} more"] if len(each) > MOST_LINKS else []
-        of_links = ("each link [kg]", "; ".join([*each[:MOST_LINKS], *more]))
-        return replace(
-            self,
-            heading=(
-                *self.heading[:-1],
-                mass,
-                self.heading[-1],
-                *((of_links,) if len(each) > 1 else ()),
-            ),
-        )
+        return replace(self, heading=(*self.heading, mass, *more))
 
     def as_csv(self) -> str:
         """Return the table of parameters as CSV, numbers in full."""
@@ -157,6 +153,7 @@ def summarise(
     result: IdentificationResult,
     *,
     findings: Sequence[Finding] | None = None,
+    verdict: str = "",
 ) -> Summary:
     """Summarise a result.
 
@@ -166,6 +163,8 @@ def summarise(
         The result.
     findings
         Findings of the study; None: those of the result.
+    verdict
+        The verdict of the study.
     """
     said = ranked(result.findings if findings is None else findings)
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_links))
@@ -175,7 +174,7 @@ def summarise(
             f"{result.robot} - {method_title(result.method)},"
             f" {result.n_base - n_drive} base{drives} parameters"
         ),
-        heading=(*_heading(result), ("status", _status(result, said))),
+        heading=_heading(result),
         findings=said,
         parameters=_parameter_table(result),
         joints=_joint_table(result),
@@ -184,11 +183,8 @@ def summarise(
             determination(result, motions=False).in_short,
             *result.notes,
         ),
-        verdict=_verdict(result),
-        effects=tuple(
-            ("in the model" if each.in_model else "not in model", each.text)
-            for each in result.effects
-        ),
+        verdict=verdict,
+        found_effects=result.effects,
     )
 
 
@@ -196,35 +192,13 @@ def _mass(mass: float | None) -> str:
     return "?" if mass is None else significant(mass)
 
 
-def _verdict(result: IdentificationResult) -> str:
-    error = result.train.relative_error
-    if not error > UNEXPLAINED:
-        return ""
-    return (
-        f"THE MODEL DOES NOT EXPLAIN THE TORQUES: TRAINING ERROR {share(error).upper()}. CHECK"
-        " ROBOT, GRAVITY, COLUMNS, UNITS AND RATE"
-    )
-
-
-def finding_lines(
-    findings: Sequence[Finding], full: bool = False, cure_text: Callable[[Cure], str] = str
-) -> list[str]:
-    """Return ranked findings as lines of 80 columns; without `full` the first few, shortened."""
-    shown = findings if full else [each for each in findings if each.severity != "info"]
-    shown = shown if full else shown[:MOST_FINDINGS]
+def finding_lines(findings: Sequence[Finding], cure_text: Callable[[Cure], str] = str) -> list[str]:
+    """Return ranked findings, whole, as lines of 80 columns."""
     lines = []
-    for finding in shown:
-        label = f"{finding.severity.upper():<7}  "
+    for finding in findings:
         cure = "" if finding.cure is None else cure_text(finding.cure)
         advice = f" {cure[0].upper()}{cure[1:]}." if cure else ""
-        message = f"{finding.message}."
-        room = FINDING_LINES * (WIDTH - len(label)) - SPARE - len(advice)
-        if not full and len(message) > room:
-            message = shortened(finding.message, max(room, WIDTH))
-        lines.append(wrapped(message + advice, label, lines=None if full else FINDING_LINES))
-    hidden = len(findings) - len(shown)
-    if hidden:
-        lines.append(f"... {hidden} more finding{'s' if hidden > 1 else ''}")
+        lines.append(wrapped(f"{finding.message}.{advice}", f"{finding.severity.upper():<7}  "))
     return lines
 
 
@@ -264,8 +238,7 @@ def _delay_text(result: IdentificationResult) -> str:
 def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:
     """Return the pairs in two columns, a pair that does not fit on a line of its own."""
     lines: list[str] = []
-    wide = next((k for k, (label, _) in enumerate(heading) if label == "status"), len(heading) - 1)
-    width = max(len(text) for _, text in heading[:wide:2]) + 2
+    width = max((len(text) for _, text in heading[::2] if len(text) < WIDTH // 4), default=0) + 2
     open_line = ""
     for label, text in heading:
         right = f"{label:<18}{text}"
@@ -277,22 +250,6 @@ def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:
             open_line = f"{label:<14} {text:<{width}}"
             open_line = open_line if len(open_line) < WIDTH // 2 + 2 else ""
     return [line.rstrip() for line in lines]
-
-
-def _status(result: IdentificationResult, findings: Sequence[Finding]) -> str:
-    poor = sum(parameter.poorly_determined for parameter in result.parameters)
-    verdicts = [
-        f"{count} {noun}{'' if count == 1 else 'S'} {verdict}".rstrip()
-        for count, noun, verdict in (
-            (len(result.undetermined), "DIRECTION", "UNDETERMINED"),
-            (poor, "PARAMETER", "POORLY DETERMINED"),
-        )
-        if count
-    ]
-    n = sum(finding.severity != "info" for finding in findings)
-    if not verdicts and n:
-        verdicts = [f"{n} WARNING{'' if n == 1 else 'S'}"]
-    return ", ".join(verdicts) or "OK"
 
 
 def _parameter_table(result: IdentificationResult) -> Table:
@@ -348,22 +305,21 @@ def _joint_table(result: IdentificationResult) -> Table:
     unit = "" if mixed else kinds[0]
     held_out = [
         Column(
-            f"held out {i}" if len(result.validation) > 1 else "held out",
+            f"as built {i}" if len(result.validation) > 1 else "as built",
             unit,
             "decimal",
-            detail=i > 2,
+            detail=i > 1,
         )
         for i in range(1, len(result.validation) + 1)
     ]
-    cad = "CAD" if result.cad.source == result.train.source else "CAD held out"
     columns = (
-        Column("joint", width=24),
+        Column("joint", width=30),
         *([Column("unit")] if mixed else []),
-        Column("RMS error", unit, "decimal"),
+        Column("training", unit, "decimal", detail=bool(held_out)),
         *held_out,
-        Column(cad, unit, "decimal"),
+        Column("CAD", unit, "decimal"),
         Column("of torque", "%", "decimal", ".1f"),
-        Column("R2", "", "decimal", ".4f"),
+        Column("R2", "", "decimal", ".4f", detail=True),
     )
     shown = result.validation[0] if result.validation else result.train
     rows: list[tuple[Cell, ...]] = []
@@ -378,4 +334,6 @@ def _joint_table(result: IdentificationResult) -> Table:
                 float(result.train.r_squared[k]),
             )
         )
-    return Table(columns, tuple(rows))
+    whole, _, held = shown.source.partition(", held out ")
+    source = f"{PurePath(whole).name}{', held out' if held else ''}"
+    return Table(columns, tuple(rows), title=f"RMS torque error on {source}")

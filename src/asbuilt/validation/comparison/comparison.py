@@ -11,6 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.findings import joined
 from asbuilt.identification.errors.block_scatter import student_probability
 from asbuilt.identification.information.cause_data import CauseData
@@ -34,6 +35,10 @@ if TYPE_CHECKING:
 
 FALSE_DISCOVERY_RATE = 0.05
 """Expected share of wrong ones among the parameters that differ (usual level)."""
+
+
+HELD_OUT = ", held out "
+"""What comes between a recording's name and the rule by which part of it was held out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -365,12 +370,25 @@ def compare(
 
 
 def recording_name(source: str) -> str:
-    """Return the names of a recording's files without folders.
+    """Return the names of a recording's files without folders, and what of it was held out.
 
     >>> recording_name("data/a.csv, data/b.csv")
     'a.csv, b.csv'
+    >>> recording_name("data/a.csv, held out blocks:3.3s:3")
+    'a.csv (every third 3.3 s)'
     """
-    return ", ".join(PurePath(part).name or part for part in source.split(", "))
+    whole, _, rule = source.partition(HELD_OUT)
+    names = ", ".join(PurePath(part).name or part for part in whole.split(", "))
+    return f"{names} ({_rule_text(rule)})" if rule else names
+
+
+def _rule_text(rule: str) -> str:
+    """Return a rule of `hold_out` as text."""
+    part = parse_rule(rule)
+    if isinstance(part, Blocks):
+        ordinal = {2: "second", 3: "third"}.get(part.every, f"{part.every}th")
+        return f"every {ordinal} {part.seconds:g} s"
+    return f"the last {share(part.share, 0)}"
 
 
 def _paired(

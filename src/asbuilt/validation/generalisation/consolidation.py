@@ -51,13 +51,25 @@ WEIGHT: tuple[str, ...] = (
 )
 """Warnings that change torques or parameters most, in this order; others follow them."""
 MOST_NAMED = 4
+APART = ("note", "effect_found")
+"""Findings of one code that each say something else."""
 
 
-def consolidated(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings merged by cause and ranked, errors first.
+def consolidated(
+    findings: Sequence[Finding], shares: Mapping[str, float] = MappingProxyType({})
+) -> tuple[Finding, ...]:
+    """Return findings merged by cause and ranked: errors first, then by torque.
 
-    Of warnings of one code, at several joints or in several recordings, the first names the others,
-    which are kept as information; so is what another warning explains (`EXPLAINED`).
+    Of warnings and information of one code, at several joints or in several recordings, one is
+    left that names them. What another warning explains (`EXPLAINED`) is information.
+
+    Parameters
+    ----------
+    findings
+        The findings.
+    shares
+        Share of the squared torque error at each joint, by name: that of a finding at a joint
+        which has none of its own.
     """
     merged = _together(findings)
     present = {each.code for each in merged if each.severity != "info"}
@@ -65,32 +77,30 @@ def consolidated(findings: Sequence[Finding]) -> tuple[Finding, ...]:
         replace(each, severity="info")
         if each.severity == "warning" and present.intersection(EXPLAINED.get(each.code, ()))
         else each
-        for each in merged
+        for each in (_with_torque(each, shares) for each in merged)
     ]
     return tuple(sorted(kept_findings, key=_rank))
 
 
-def _rank(finding: Finding) -> tuple[int, int]:
+def _with_torque(finding: Finding, shares: Mapping[str, float]) -> Finding:
+    if finding.torque is not None or finding.joint is None:
+        return finding
+    return replace(finding, torque=shares.get(finding.joint))
+
+
+def _rank(finding: Finding) -> tuple[int, float, int]:
     weight = WEIGHT.index(finding.code) if finding.code in WEIGHT else len(WEIGHT)
-    return SEVERITIES.index(finding.severity), weight
+    return SEVERITIES.index(finding.severity), -(finding.torque or 0.0), weight
 
 
 def _together(findings: Sequence[Finding]) -> list[Finding]:
-    """Return the findings, of warnings of one code the first as that of all."""
-    groups: dict[str, list[Finding]] = {}
-    for each in findings:
-        if each.severity == "warning" and (each.joint is not None or _source(each)):
-            groups.setdefault(each.code, []).append(each)
-    kept_findings: list[Finding] = []
-    for each in findings:
-        group = groups.get(each.code, [each])
-        if each is group[0]:
-            kept_findings.append(_naming_all(group))
-        elif any(each is other for other in group):
-            kept_findings.append(replace(each, severity="info"))
-        else:
-            kept_findings.append(each)
-    return kept_findings
+    """Return one finding for all but errors of a code and severity at joints or in recordings."""
+    groups: dict[object, list[Finding]] = {}
+    for number, each in enumerate(findings):
+        apart = each.severity == "error" or each.code in APART
+        repeats = not apart and (each.joint is not None or _source(each))
+        groups.setdefault((each.code, each.severity) if repeats else number, []).append(each)
+    return [_naming_all(group) for group in groups.values()]
 
 
 def _naming_all(group: Sequence[Finding]) -> Finding:

@@ -79,7 +79,7 @@ def validation_findings(
 
 
 def _named_once(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
-    """Return findings; the first of a code names the recordings of others, which become info."""
+    """Return the first finding of each code, which names the recordings of the others."""
     groups: dict[str, list[tuple[str, Finding]]] = {}
     for source, finding in found:
         groups.setdefault(finding.code, []).append((source, finding))
@@ -88,7 +88,6 @@ def _named_once(found: Iterable[tuple[str, Finding]]) -> tuple[Finding, ...]:
         also = [source for source, _ in others]
         said = f"{first.message}; likewise on {joined(also)}" if also else first.message
         merged.append(replace(first, message=said))
-        merged += [replace(each, severity="info") for _, each in others]
     return tuple(merged)
 
 
@@ -100,9 +99,8 @@ def repetition_findings(
         Finding(
             "held_out_repeats",
             "warning",
-            f"{recording_name(samples.source)} repeats the training motion ({100 * share:.0f} % of"
-            " its states): its errors measure the repeatability of the robot, not the model on"
-            " other motion",
+            f"{recording_name(samples.source)} repeats the training motion in {100 * share:.0f} %"
+            " of its states, so its errors are not those of other motion",
             Cure("validate on another motion"),
         )
         for samples in validation
@@ -148,24 +146,27 @@ def _generalisation(
     error = np.where(_held(rest), rest.moving, built.rms)
 
     def listed(joints: NDArray[np.int64], errors: NDArray[np.float64], than: TorqueMetrics) -> str:
-        return ", ".join(
-            f"{built.joint_names[k]} {errors[k]:.3g} against {than.rms[k]:.3g}" for k in joints
+        return joined(
+            [
+                f"{built.joint_names[k]} ({errors[k]:.3g} for {than.rms[k]:.3g}"
+                f" {validation.units[k]})"
+                for k in joints
+            ]
         )
 
     worse = np.flatnonzero(
         (error > LIMITS.overfit * train.rms) & (built.relative_error_per_joint > LIMITS.noticeable)
     )
     if worse.size:
-        whose = "; training errors elsewhere are of the final fit to everything" if refitted else ""
+        whose = " of the same fit" if refitted else ""
         yield Finding(
             "does_not_generalise",
             "warning",
-            f"Torque errors on {source} exceed {LIMITS.overfit:g} times those of the same fit on"
-            f" its training data ({listed(worse, error, train)}{whose})"
-            f"{_times(validation, worse)}: the recording is too short or too little varied for so"
-            " many parameters, or something"
-            " acted then that the model lacks",
-            Cure("record longer, add recordings, or use fewer drive terms"),
+            f"Errors on {source} are more than {LIMITS.overfit:g} times those in"
+            f" training{whose} at {listed(worse, error, train)}{_times(validation, worse)}",
+            Cure("record longer and more varied motion, or use fewer drive terms"),
+            joint=built.joint_names[worse[0]] if len(worse) == 1 else None,
+            torque=_energy(built, worse),
         )
     behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
     if behind.size and np.any(validation.predicted_cad):
@@ -174,7 +175,13 @@ def _generalisation(
             "warning",
             f"CAD predicts {source} better than the fit at {listed(behind, built.rms, cad)}",
             Cure("record longer, or regularise toward CAD", {"method": "ridge"}),
+            torque=_energy(built, behind),
         )
+
+
+def _energy(metrics: TorqueMetrics, joints: NDArray[np.int64]) -> float:
+    """Return the share of the squared torque error at some joints."""
+    return float(np.sum(metrics.rms[joints] ** 2) / np.nansum(metrics.rms**2))
 
 
 def _times(validation: Validation, joints: NDArray[np.int64]) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import IdentifiabilityError
@@ -28,6 +30,7 @@ from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.consolidation import consolidated
+from asbuilt.validation.generalisation.coverage import coverage_findings
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
@@ -35,6 +38,7 @@ from asbuilt.validation.generalisation.generalisation import (
 from asbuilt.validation.generalisation.plateaus import plateau_findings
 from asbuilt.validation.generalisation.unexplained import unexplained_findings
 from asbuilt.validation.prediction import Validation
+from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
 from asbuilt.workflow.delays import delay_findings
 from asbuilt.workflow.fitting.fits import Fits
@@ -100,6 +104,10 @@ def conclude_study(
     lacking = fits.effects.lacking
     result = conclude(replace(fits.final, omitted=lacking and lacking.bias(fits.final)))
     attribution = None if cause_data is None else attribute(result)
+    validations = tuple(
+        with_exported(result.of_training, each, samples)
+        for each, samples in zip(validations, held, strict=True)
+    )
     findings = (
         *result.findings,
         *_drive_findings(fits.choice),
@@ -111,13 +119,22 @@ def conclude_study(
         *further,
         *_validation_findings(fits, train, validations, further),
         *repetition_findings(prepared.training, held),
+        *([] if prepared.validation else coverage_findings(fits.model, prepared.training)),
         *too_short,
         *unexplained_findings(trained),
         *_model_findings(fits, result, attribution, options),
         *cad_verdict_findings(validations),
         *mass_findings(result),
     )
-    return Conclusion(result, consolidated(findings), trained, validations, attribution)
+    shares = _error_shares((*validations, *trained)[0].metrics_as_built)
+    return Conclusion(result, consolidated(findings, shares), trained, validations, attribution)
+
+
+def _error_shares(metrics: TorqueMetrics) -> dict[str, float]:
+    """Return the share of the squared torque error at each joint with a torque channel, by name."""
+    energy = np.nan_to_num(metrics.rms**2)
+    shares = (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist()
+    return dict(zip(metrics.joint_names, shares, strict=True))
 
 
 def _validation_findings(
@@ -158,10 +175,11 @@ def _model_findings(
 
 
 def _effect_findings(effects: Effects, options: StudyOptions) -> tuple[Finding, ...]:
-    """Return what is said of effects: of errors of the log even where no effects are wanted."""
+    """Return what can be done about effects: errors of the log even where none are wanted."""
     wanted = options.wanted_effects.choice != "none"
     own = [each for each in effects.found if wanted or EFFECTS[each.effect].of_log]
-    return effect_findings(replace(effects, found=tuple(own)))
+    said = effect_findings(replace(effects, found=tuple(own)))
+    return tuple(each for each in said if each.severity != "info" or each.code.endswith("_unseen"))
 
 
 def _has_masses(model: RobotModel) -> bool:

@@ -16,7 +16,7 @@ from asbuilt.workflow.controller_model import ControllerComparison
 from asbuilt.writers.figures.cause_figures import attribution_figure, difference_figure
 from asbuilt.writers.figures.figure_style import save_figure
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.reports.compare_report import NO_CAUSES, comparison_html
+from asbuilt.writers.reports.compare_report import NO_CAUSES, compare_headline, comparison_html
 from asbuilt.writers.reports.drift_report import drift_html
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class CadVerdict:
             Show everything; else what fits one screen of 80 columns.
         """
         comparison, found = self.comparison, self.attribution
-        parts = [comparison.heading(full)]
+        parts = [wrapped(self.headline), comparison.heading(full)]
         if found is None or full:
             parts += [comparison.torque_table().as_text(full)] if comparison.torque else []
         if found is None:
@@ -57,9 +57,15 @@ class CadVerdict:
             parts.append("\n".join(["What the recording determines:", *said]) + "\n")
         return "\n".join(parts)
 
+    @property
+    def headline(self) -> str:
+        """What a user decides by, in a sentence."""
+        return compare_headline(self.comparison, self.attribution)
+
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
         return self.comparison.as_document() | {
+            "headline": self.headline,
             "attribution": None if self.attribution is None else self.attribution.as_document(),
             "determination": self.determination.as_dict(),
         }

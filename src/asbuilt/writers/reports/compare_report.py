@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from asbuilt.findings import joined
 from asbuilt.identification.result.determination import Determination
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share
 from asbuilt.validation.attribution.attribution import Attribution
+from asbuilt.validation.attribution.causes import CAUSES
 from asbuilt.validation.comparison.comparison import Comparison, recording_name
 from asbuilt.writers.figures.cause_figures import attribution_figure, difference_figure
 from asbuilt.writers.figures.figure_style import figure_address
@@ -14,7 +16,7 @@ from asbuilt.writers.reports.report_verdict import (
     Card,
     determination_card,
     difference_card,
-    prediction_card,
+    torque_card,
 )
 
 NO_CAUSES = (
@@ -32,7 +34,7 @@ def comparison_html(
 ) -> str:
     """Return the page as text."""
     cards = [
-        *([prediction_card(result, comparison)] if comparison.torque else []),
+        *([torque_card(comparison)] if comparison.torque else []),
         difference_card(comparison),
         *([] if attribution is None else [_explained_card(attribution)]),
         determination_card(determination),
@@ -60,12 +62,34 @@ def comparison_html(
         contents=[each for each in contents if attribution is not None or each[0] != "causes"]
         + [("determination", "Determination")],
         cards=cards,
-        sentences=(comparison.verdict(), *causes, *comparison.tests()),
+        sentences=(
+            compare_headline(comparison, attribution),
+            comparison.verdict(),
+            *causes,
+            *comparison.tests(),
+        ),
         attribution=attribution,
         determination=determination,
         joint_table=table_markup(joint_table, "joint-table"),
         parameter_table=table_markup(comparison.parameter_table(), "parameters-by-torque"),
         **({"difference_image": ""} | images),
+    )
+
+
+def compare_headline(comparison: Comparison, attribution: Attribution | None) -> str:
+    """Return what a user decides by: how far off CAD is, and what explains that, in a sentence."""
+    counts = f"{comparison.n_differing} of {comparison.n_compared} parameters differ"
+    if not comparison.torque:
+        return f"{counts}; the result has no torques to compare."
+    cad, built = comparison.torque[0]
+    error = share(built.relative_error)
+    if cad is None:
+        return f"As built the torque error is {error} on {recording_name(built.source)}; {counts}."
+    causes = () if attribution is None else attribution.chosen[:2]
+    why = f", most by {joined([CAUSES[cause] for cause in causes])}" if causes else ""
+    return (
+        f"{comparison.cad_source} is off by {share(cad.relative_error)} of the torque (as built"
+        f" {error}){why}; {counts}."
     )
 
 

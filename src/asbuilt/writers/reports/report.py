@@ -58,7 +58,7 @@ def report_html(
         context = section.context(report)
         if context is not None:
             body = section_markup(section.template, context)
-            shown.append((identifier, section.title, body))
+            shown.append((identifier, section.title, body, section.folded))
     robot = study.result.robot
     sources = ", ".join(recording_name(source) for source in study.result.sources)
     return page(
@@ -67,7 +67,7 @@ def report_html(
         heading=robot,
         subject="as built",
         subtitle=f"Identified from {sources}",
-        contents=[(identifier, title) for identifier, title, _ in shown],
+        contents=[(identifier, title) for identifier, title, _, folded in shown if not folded],
         sections=shown,
         data=plain(plot_data(report)),
         script=resource("report.js"),

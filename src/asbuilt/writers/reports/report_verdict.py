@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.result.determination import Determination
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import share, significant
-from asbuilt.validation.comparison.comparison import Comparison, recording_name
+from asbuilt.tables import share
+from asbuilt.validation.comparison.comparison import Comparison
+from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
 
 Mood = Literal["good", "bad", "neutral"]
+MOODS: dict[Use, Mood] = {"yes": "good", "with care": "neutral", "no": "bad"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,66 +29,39 @@ class Card:
 
 def verdict(study: Study) -> tuple[Card, ...]:
     """Return the cards of a study."""
-    said = study.summary().verdict
-    error = share(study.result.train.relative_error)
-    refused = (Card("bad", error, "training error", said),) if said else ()
     return (
-        *refused,
-        prediction_card(study.result, study.comparison),
+        error_card(study.verdict),
         consistency_card(study.result),
         determination_card(study.determination),
         difference_card(study.comparison),
     )
 
 
-def prediction_card(result: IdentificationResult, comparison: Comparison) -> Card:
-    """Return how well torque is predicted, on validation data if there are any."""
+def error_card(found: Verdict) -> Card:
+    """Return the error that decides, of the exported robot, beside CAD's."""
+
+    def text(value: float | None) -> str:
+        if found.measure == "torque" or value is None:
+            return share(value)
+        return f"{1e3 * value:.3g} mrad or mm"
+
+    cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
+    measured = "torque error" if found.measure == "torque" else "simulation error"
+    label = f"{measured} of the exported robot{cad}"
+    return Card(MOODS[found.use], text(found.error.decisive), label, found.text)
+
+
+def torque_card(comparison: Comparison) -> Card:
+    """Return how well torque is predicted as built, beside CAD if that is known."""
     cad, built = comparison.torque[0]
-    error, source = share(built.relative_error), recording_name(built.source)
-    weak = _weakest_joint(built)
-    if not result.validation:
-        return Card(
-            "neutral",
-            error,
-            "torque error on the training data",
-            f"No recording was held out: {error} is the torque error on the training data, and the"
-            f" error on other motions is unknown.{weak}",
-        )
-    if cad is None or not cad.relative_error > 0:
-        return Card(
-            "neutral",
-            error,
-            "torque error held out",
-            f"The torque error on {source} is {error}.{weak}",
-        )
-    factor = cad.relative_error / built.relative_error if built.relative_error > 0 else math.inf
-    by_cad = share(cad.relative_error)
-    label = f"torque error held out, CAD {by_cad}"
-    if factor >= 1.0:
-        return Card(
-            "good",
-            error,
-            label,
-            f"On {source} the torque error is {error} as built and {by_cad} by CAD:"
-            f" {significant(factor, 2)} times smaller.{weak}",
-        )
+    label = "torque error as built"
+    if cad is None:
+        return Card("neutral", share(built.relative_error), label)
+    better = built.relative_error < cad.relative_error
     return Card(
-        "bad",
-        error,
-        label,
-        f"On {source} the identified model predicts WORSE than CAD: {error} against {by_cad}."
-        f" Do not use it before the findings below are resolved.{weak}",
-    )
-
-
-def _weakest_joint(metrics: TorqueMetrics) -> str:
-    relative = metrics.relative_error_per_joint
-    if not np.any(np.isfinite(relative)):
-        return ""
-    worst = int(np.nanargmax(relative))
-    return (
-        f" The largest relative error is {share(float(relative[worst]), 0)} at joint"
-        f" {metrics.joint_names[worst]}."
+        "good" if better else "bad",
+        share(built.relative_error),
+        f"{label}, CAD {share(cad.relative_error)}",
     )
 
 

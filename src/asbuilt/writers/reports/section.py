@@ -45,12 +45,15 @@ class Section:
         Text of a Jinja template; names are escaped.
     context
         Function from a `Report` to the fields of the template; None leaves the section out.
+    folded
+        Whether a reader opens it: what is no part of the decision.
     """
 
     title: str
     order: float
     template: str
     context: Callable[[Report], Mapping[str, Any] | None]
+    folded: bool = False
 
 
 sections: Registry[Section] = Registry(

@@ -58,24 +58,24 @@ def study_text(
 
     `cure_text` writes cures, for an interface that adds the names of its options.
     """
+    if not full:
+        text = study.summary().as_text(cure_text=cure_text)
+        return text if payload is None else f"{text}\n{payload_table(payload).as_text()}"
     masses = exported_masses(study.result)
     parts = [with_masses(study.summary(), masses).as_text(full, cure_text)]
-    if full and gear_ratios(study.result.model):
-        parts.append(
-            "Drives at the motor\n"
-            + motor_side_table(motor_side_parameters(study.result)).as_text(full)
-        )
+    if gear_ratios(study.result.model):
+        drives = motor_side_table(motor_side_parameters(study.result)).as_text(full)
+        parts.append(f"Drives at the motor\n{drives}")
     if study.cutoffs is not None:
         parts.append(study.cutoffs.table().as_text(full))
-    if full:
-        parts.append(study.comparison.torque_table().as_text(full))
+    parts.append(study.comparison.torque_table().as_text(full))
     parts.append(wrapped(study.comparison.verdict()) + "\n")
     if study.rollouts:
         parts.append(rollout_text(study.result.model, study.rollouts, full=full).lstrip("\n"))
     if study.refined is not None:
         parts.append(refined_text(study.refined))
     if payload is not None:
-        parts.append(payload_text(payload, full) if full else payload_table(payload).as_text())
+        parts.append(payload_text(payload, full))
     return "\n".join(parts)
 
 

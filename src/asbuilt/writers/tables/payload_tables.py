@@ -12,7 +12,18 @@ from asbuilt.arrays import Array
 from asbuilt.findings import joined
 from asbuilt.identification.calibration.added_moments import AddedMoments
 from asbuilt.identification.calibration.payload import Payload
-from asbuilt.tables import Cell, Column, Shown, Table, percent, rounded, significant, stacked
+from asbuilt.tables import (
+    Cell,
+    Column,
+    Shown,
+    Table,
+    percent,
+    plus_minus,
+    rounded,
+    significant,
+    stacked,
+    wrapped,
+)
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.torque_error_table import torque_error_table
 from asbuilt.writers.files import path_texts
@@ -29,7 +40,20 @@ MOMENT_UNITS = ("kg m", "kg m", "kg m", "kg")
 
 def payload_text(payload: Payload, full: bool = False) -> str:
     """Return what `asbuilt payload` prints."""
-    return stacked((payload_table(payload), payload_torque_table(payload)), full)
+    tables = stacked((payload_table(payload), payload_torque_table(payload)), full)
+    return f"{wrapped(payload_headline(payload))}\n\n{tables}"
+
+
+def payload_headline(payload: Payload) -> str:
+    """Return what a user decides by: what the flange carries, in a sentence with its errors."""
+    values, errors = payload.values.tolist(), payload.std_errors.tolist()
+    mass = plus_minus(values[0], errors[0])
+    if "mass" not in payload.determined:
+        return f"Payload at {payload.frame}: its mass is undetermined ({mass} kg)."
+    known = [k for k in (1, 2, 3) if payload.names[k] in payload.determined]
+    centre = ", ".join(f"{'xyz'[k - 1]} {plus_minus(values[k], errors[k])}" for k in known)
+    where = f"{centre} m" if centre else "undetermined"
+    return f"Payload at {payload.frame}: {mass} kg, its centre {where}."
 
 
 def payload_table(payload: Payload) -> Table:
@@ -151,6 +175,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
     return {
         "robot": payload.robot,
         "frame": payload.frame,
+        "headline": payload_headline(payload),
         "n_samples": payload.n_samples,
         "mass": {
             "estimate": float(payload.values[0]),

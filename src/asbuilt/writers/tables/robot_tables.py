@@ -14,6 +14,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, DriveValues, Joint, RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.findings import joined
 from asbuilt.tables import Cell, Column, Table, stacked, wrapped
 
 MOST_ROWS = 24
@@ -62,6 +63,7 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
     }
     return {
         "robot": model.name,
+        "headline": robot_headline(model),
         "physically_consistent": all(reason is None for reason in inconsistencies.values()),
         "inconsistencies": {
             name: reason for name, reason in inconsistencies.items() if reason is not None
@@ -179,10 +181,9 @@ def _verdict(inertia: LinkInertia, about_com: Array, reason: str | None) -> str:
 
 def robot_text(model: RobotModel, full: bool = False) -> str:
     """Return what `asbuilt show` prints; every column and note if `full`."""
-    mass = f"{model.parameters[9::10].sum():.4g}"
     head = [
-        f"{model.name}: {model.n_joints} joints, {mass} kg moving, gravity"
-        f" {_vector(model.gravity)} m/s^2 in {model.root_link}",
+        robot_headline(model),
+        f"gravity {_vector(model.gravity)} m/s^2 in {model.root_link}",
     ]
     if model.citation:
         head.append(f"source: {model.citation}")
@@ -198,6 +199,25 @@ def robot_text(model: RobotModel, full: bool = False) -> str:
     lines = [wrapped(line) for line in (*head, *(f"note: {note}" for note in model.notes))]
     tables = stacked((joints_table(model), links_table(model)), full)
     return "\n".join([*lines, "", tables])
+
+
+def robot_headline(model: RobotModel) -> str:
+    """Return what a user decides by: whether the description can be simulated and compared with."""
+    mass = f"{model.parameters[9::10].sum():.4g}"
+    size = f"{model.name}: {model.n_joints} joints, {mass} kg moving"
+    unknown = [link.name for link in model.links if not link.inertia_known]
+    reasons = {
+        link.name: reason
+        for link in model.links
+        if link.inertia_known and (reason := link.inertia.inconsistency()) is not None
+    }
+    if reasons:
+        name, reason = next(iter(reasons.items()))
+        count = f"{len(reasons)} of {model.n_links} links are" if len(reasons) > 1 else f"{name} is"
+        return f"{size}; {count} PHYSICALLY INCONSISTENT ({name}: {reason})."
+    if unknown:
+        return f"{size}; no masses are known of {joined(unknown, 3)}."
+    return f"{size}, all links physically consistent."
 
 
 def base_table(base: BaseParameters, model: RobotModel) -> Table:

@@ -22,10 +22,14 @@ from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation, torque_units
+from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.workflow.information_efficiency import RecordedInformation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.tables.mass_table import exported_masses
+
+MOST_FINDINGS = 12
+"""Findings in a document of `identify`, the weightiest; summary.txt and result.json have all."""
 
 
 def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
@@ -73,7 +77,9 @@ def identify_document(
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `files` are the paths written, by kind."""
     result, masses = study.result, exported_masses(study.result)
+    findings = study.findings[:MOST_FINDINGS]
     return result.as_dict() | {
+        "verdict": plain(study.verdict),
         "drive": str(result.base.drive),
         "errors": plain(result.errors) | {"sentence": result.errors_sentence},
         "motor_side": (
@@ -83,8 +89,8 @@ def identify_document(
         ),
         "determination": study.determination.as_dict(),
         "mass": None if masses is None else masses.as_dict(),
-        "warnings": [{"code": each.code, "message": each.text} for each in study.findings],
-        "findings": plain(study.findings),
+        "warnings": [{"code": each.code, "message": each.text} for each in findings],
+        "findings": plain(findings),
         "files": path_texts(files),
     }
 
@@ -94,13 +100,17 @@ def validate_document(
     validations: Sequence[Validation],
     *,
     files: Mapping[str, str | os.PathLike[str]] | None = None,
+    verdict: Verdict | None = None,
 ) -> dict[str, Any]:
     """Return what `asbuilt validate --json` prints.
 
-    Metrics as built and of the CAD values on each recording.
+    Metrics as built and of the CAD values on each recording, and the verdict on the model.
     """
+    verdict = verdict or study_verdict(result, (), validations)
     return {
         "robot": result.robot,
+        "headline": verdict.text,
+        "use": plain(verdict),
         "method": result.method,
         "joints": list(result.joint_names),
         "validation": [validation.metrics_as_built.as_dict() for validation in validations],
@@ -153,6 +163,7 @@ def check_document(
     parts = list(carried) or [None] * len(checks)
     return {
         "robot": model.name,
+        "headline": " ".join(check.headline for check in checks),
         "ok": all(check.ok for check in checks),
         "recordings": [
             {

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from asbuilt.findings import Finding
+from asbuilt.findings import Finding, joined
 from asbuilt.tables import (
     Cell,
     Column,
     Shown,
     Table,
+    plus_minus,
     rounded,
     share,
     significant,
@@ -18,7 +19,7 @@ from asbuilt.tables import (
 )
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.review.claim import Claim
-from asbuilt.validation.review.review import ORDER, RESOLUTION, Review
+from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
 
 MOST_CLAIMS = 24
 """Claims in a short text."""
@@ -31,6 +32,7 @@ def review_document(review: Review) -> dict[str, Any]:
     return {
         "robot": review.robot,
         "recordings": list(review.sources),
+        "headline": review_headline(review),
         "counts": {verdict: review.count(verdict) for verdict in ORDER},
         "false_discovery_rate": review.level,
         "misfit": review.misfit,
@@ -48,15 +50,29 @@ def review_text(
     review: Review, *, full: bool = False, finding_text: Callable[[Finding], str] | None = None
 ) -> str:
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
-    counts = ", ".join(f"{review.count(verdict)} {verdict}" for verdict in ORDER)
-    logs = ", ".join(map(recording_name, review.sources))
-    head = wrapped(f"{review.robot}: {len(review.claims)} claimed numbers against {logs}: {counts}")
+    head = wrapped(review_headline(review))
     said = [
         wrapped(finding_text(each))
         for each in review.findings
         if finding_text is not None and (full or each.code.startswith("servo_"))
     ]
     return "\n".join([head, *said, review_table(review).as_text(full)])
+
+
+def review_headline(review: Review) -> str:
+    """Return what a user decides by: which claims the log contradicts, in a sentence."""
+    against = [claim for claim in review.claims if claim.verdict == "contradicted"]
+    logs = joined([recording_name(source) for source in review.sources], 2)
+    rest = f"{review.count('supported')} are supported, {review.count('undetermined')} undetermined"
+    if not against:
+        return f"{logs} contradicts none of {len(review.claims)} claimed numbers: {rest}."
+    worst = max(against, key=lambda claim: claim.torque or 0.0)
+    value = "" if worst.estimate is None else plus_minus(worst.estimate, worst.std_error)
+    return (
+        f"{logs} contradicts {len(against)} of {len(review.claims)} claimed numbers, most of all"
+        f" {worst.what} of {worst.joint}: {value} {worst.unit} for {significant(worst.claimed)};"
+        f" {rest}."
+    )
 
 
 def review_table(review: Review) -> Table:
@@ -83,9 +99,14 @@ def review_table(review: Review) -> Table:
         tuple(_row(claim) for claim in review.claims),
         title="Claimed numbers beside what the log says with nothing that pulls it to the claim",
         notes=(
-            f"CONTRADICTED: off by more than {share(RESOLUTION, 0)}, at a false discovery rate of"
-            f" {share(review.level, 0)} over all numbers; supported: standard error at most half"
-            " of the number; torque: RMS of the difference over all joints.",
+            f"CONTRADICTED: off by more than {share(RESOLUTION, 0)} of its size, at a false"
+            f" discovery rate of {share(review.level, 0)} over all numbers.",
+            f"supported: standard error at most {share(DETERMINED, 0)} of its size, and the"
+            f" difference at most {share(RESOLUTION, 0)} of it or by chance in {share(DOUBTFUL, 0)}"
+            " of logs or more; undetermined: all others.",
+            "Size: the claim itself, or 1 in its unit where it is 0, of drives and masses; of a"
+            " centre the radius of gyration, of an inertia the mean moment of the link.",
+            "torque: RMS of the difference over all joints.",
             f"Other numbers are free meanwhile: drives without limit, bodies within {plausible}.",
             *_widened(review),
         ),

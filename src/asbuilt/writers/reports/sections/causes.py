@@ -32,4 +32,4 @@ def _context(report: Report) -> dict[str, Any] | None:
     }
 
 
-sections.register("causes", Section("Causes of the CAD error", 40, TEMPLATE, _context))
+sections.register("causes", Section("Causes of the CAD error", 40, TEMPLATE, _context, folded=True))

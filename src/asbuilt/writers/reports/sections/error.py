@@ -74,4 +74,6 @@ def _residual_table(label: str, validation: Validation) -> Table:
     return Table(columns, tuple(rows), title=label)
 
 
-sections.register("error", Section("Error of the prediction as built", 30, TEMPLATE, _context))
+sections.register(
+    "error", Section("Error of the prediction as built", 30, TEMPLATE, _context, folded=True)
+)

@@ -36,4 +36,6 @@ def _context(report: Report) -> dict[str, Any]:
     }
 
 
-sections.register("identifiability", Section("Identifiability", 70, TEMPLATE, _context))
+sections.register(
+    "identifiability", Section("Identifiability", 70, TEMPLATE, _context, folded=True)
+)

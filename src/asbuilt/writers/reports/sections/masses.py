@@ -18,4 +18,4 @@ def _context(report: Report) -> dict[str, Any] | None:
     return None if masses is None else {"table": table_markup(mass_table(masses), "mass-table")}
 
 
-sections.register("masses", Section("Masses", 15, TEMPLATE, _context))
+sections.register("masses", Section("Masses", 22, TEMPLATE, _context))

@@ -129,4 +129,4 @@ def _key(value: float | None) -> float | str:
     return "" if value is None else value
 
 
-sections.register("parameters", Section("Parameters", 60, TEMPLATE, _context))
+sections.register("parameters", Section("Parameters", 60, TEMPLATE, _context, folded=True))

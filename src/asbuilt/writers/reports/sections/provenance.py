@@ -39,4 +39,4 @@ def _context(report: Report) -> dict[str, Any]:
     }
 
 
-sections.register("provenance", Section("Provenance", 80, TEMPLATE, _context))
+sections.register("provenance", Section("Provenance", 80, TEMPLATE, _context, folded=True))

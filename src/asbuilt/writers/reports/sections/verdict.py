@@ -1,90 +1,36 @@
-"""Section: verdict, findings and key figures."""
+"""Section: the verdict, its numbers and the first findings."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from asbuilt.identification.estimators.methods import method_title
-from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import share, significant
-from asbuilt.validation.comparison.parameter_text import drive_text
-from asbuilt.writers.reports.page import table_markup
-from asbuilt.writers.reports.report_verdict import verdict
+from asbuilt.writers.reports.report_verdict import MOODS, verdict
 from asbuilt.writers.reports.section import Report, Section, sections
 
 TEMPLATE = """\
+<p class="verdict {{ mood }}">{{ text }}</p>
 {% include "cards.html.j2" %}
-<ul class="sentences">
-{% for card in cards %}
-<li class="{{ card.mood }}">{{ card.sentence }}</li>
-{% endfor %}
-</ul>
 {% if findings %}
-<div class="warnings" role="note">
-<h3>{{ findings | length }} finding{{ "s" if findings | length > 1 else "" }}</h3>
-<ul>
+<ul class="sentences" id="findings-shown">
 {% for finding in findings %}
-<li class="{{ finding.severity }}">{{ finding.text }} <code>{{ finding.code }}</code></li>
-{% endfor %}
-</ul>
-</div>
-{% endif %}
-<dl class="facts">
-{% for name, value in facts %}
-<div><dt>{{ name }}</dt><dd>{{ value }}</dd></div>
-{% endfor %}
-</dl>
-<div class="scroll">{{ torque_table }}</div>
-{% if notes %}
-<h3>Decisions of the estimator</h3>
-<ul class="sentences" id="decisions">
-{% for note in notes %}
-<li>{{ note }}</li>
+<li class="{{ finding.severity }}">{{ finding.text }}</li>
 {% endfor %}
 </ul>
 {% endif %}
 """
+MOST_FINDINGS = 5
+"""Findings beside the verdict, the first of the study; all are in a section of their own."""
 
 
 def _context(report: Report) -> dict[str, Any]:
     study = report.study
+    said = [each for each in study.findings if each.severity != "info"]
     return {
+        "text": study.verdict.text,
+        "mood": MOODS[study.verdict.use],
         "cards": verdict(study),
-        "findings": study.findings,
-        "facts": _facts(study.result),
-        "torque_table": table_markup(study.comparison.torque_table(), "torque-table"),
-        "notes": study.result.notes,
+        "findings": said[:MOST_FINDINGS],
     }
-
-
-def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
-    relative = f"{share(result.train.relative_error)} on the training data"
-    if result.validation:
-        held_out = (share(metrics.relative_error) for metrics in result.validation)
-        relative += f", {', '.join(held_out)} held out"
-    consistency = {True: "OK", False: "PHYSICALLY INCONSISTENT", None: "not checked"}
-    return [
-        ("method", method_title(result.method)),
-        ("drive terms", drive_text(result.base.drive)),
-        (
-            "samples",
-            f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz,"
-            f" {result.duration:.1f} s",
-        ),
-        ("standard errors", result.errors.kind),
-        ("independent samples", significant(result.effective_samples)),
-        (
-            "rank",
-            f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)",
-        ),
-        (
-            "condition number",
-            f"{significant(result.condition_number)} (columns scaled"
-            f" {significant(result.scaled_condition_number)})",
-        ),
-        ("relative error", relative),
-        ("consistency", consistency[result.physically_consistent]),
-    ]
 
 
 sections.register("verdict", Section("Verdict", 10, TEMPLATE, _context))

@@ -269,6 +269,7 @@
     filter();
   }
   let pending = 0;
+  for (const folded of document.querySelectorAll("details")) folded.addEventListener("toggle", draw);
   window.addEventListener("resize", () => { clearTimeout(pending); pending = setTimeout(draw, 150); });
   draw();
   document.documentElement.dataset.ready = "true";

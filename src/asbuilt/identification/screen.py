@@ -1,0 +1,133 @@
+"""One screen of an identification: verdict, effects, joints, findings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from asbuilt.findings import Cure, Finding
+from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.tables import WIDTH, Table, plus_minus, significant, wrapped
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenRules:
+    """Say how much of a summary one screen shows.
+
+    Parameters
+    ----------
+    lines
+        Lines in all, of the 30 of a small terminal window; the others are for the files and the
+        next command.
+    effects, named_only
+        Effects in the model, and others, that are listed.
+    findings, finding_lines
+        Findings that are shown, and lines of each.
+    fewest
+        Findings that are shown however long the rest is.
+    joints
+        Joints that the table lists.
+    effect_width
+        Characters of an effect beside its torque errors.
+    """
+
+    lines: int = 25
+    effects: int = 5
+    named_only: int = 2
+    findings: int = 5
+    finding_lines: int = 2
+    fewest: int = 1
+    joints: int = 12
+    effect_width: int = WIDTH - 18
+
+
+RULES = ScreenRules()
+
+
+def screen_text(
+    opening: str,
+    effects: Sequence[FoundEffect],
+    joints: Table,
+    findings: Sequence[Finding],
+    cure_text: Callable[[Cure], str] = str,
+) -> str:
+    """Return what a user decides by, in a screen of 80 columns.
+
+    Parameters
+    ----------
+    opening
+        The verdict, or a title.
+    effects, joints, findings
+        What CAD lacks, the torque errors of the joints, and ranked findings.
+    cure_text
+        Function that writes a cure, for an interface that adds the names of its options.
+    """
+    lines = wrapped(opening).split("\n")
+    lines += effect_lines(effects, cure_text)
+    lines += ["", *joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
+    room = RULES.lines - len(lines)
+    return "\n".join([*lines, *brief_findings(findings, room, cure_text)]) + "\n"
+
+
+def _elsewhere(cure_text: Callable[[Cure], str]) -> str:
+    """Return where everything is, with the option of an interface that has one."""
+    option = cure_text(Cure("", {"full": True})).strip(" ()")
+    return f"({', '.join(filter(None, (option, 'summary.txt')))})"
+
+
+def effect_lines(
+    effects: Sequence[FoundEffect], cure_text: Callable[[Cure], str] = str
+) -> list[str]:
+    """Return a line for each effect: what is in the model that CAD lacks, then what is not."""
+    ordered = sorted(effects, key=lambda each: each.error_after - each.error_before)
+    lines: list[str] = []
+    for head, most, part in (
+        ("In the model, which CAD lacks", RULES.effects, [e for e in ordered if e.in_model]),
+        ("Not in the model", RULES.named_only, [e for e in ordered if not e.in_model]),
+    ):
+        if part:
+            rows = [(effect_text(each), error_text(each)) for each in part[:most]]
+            width = max(len(text) for text, _ in rows)
+            lines.append(f"{head} (torque error without it -> with it):")
+            lines += [wrapped(f"{text:<{width}}  {gain}", "  ") for text, gain in rows]
+            if len(part) > most:
+                lines.append(f"  ... {len(part) - most} more {_elsewhere(cure_text)}")
+    return lines
+
+
+def effect_text(each: FoundEffect) -> str:
+    """Return an effect with its place and size, and its standard error if the line has room."""
+    title = EFFECTS[each.effect].title if each.effect in EFFECTS else each.effect
+    where = f"{title} at {each.joint}" if each.joint else title
+    unit = "" if each.unit == "1" else each.unit
+    sizes = (plus_minus(each.estimate, each.std_error), significant(each.estimate, 2))
+    texts = [f"{where} {size} {unit}".rstrip() for size in sizes]
+    return next((text for text in texts if len(text) <= RULES.effect_width), texts[-1])
+
+
+def error_text(each: FoundEffect) -> str:
+    """Return the relative torque errors without and with an effect."""
+    before, after = (significant(100.0 * e, 2) for e in (each.error_before, each.error_after))
+    return f"{before} -> {after} %"
+
+
+def brief_findings(
+    findings: Sequence[Finding], room: int, cure_text: Callable[[Cure], str] = str
+) -> list[str]:
+    """Return the first warnings, a sentence each, within `room` lines, and how many are left."""
+    lines: list[str] = []
+    shown = 0
+    warnings = [e for e in findings if e.severity != "info" and e.code != "effect_found"]
+    for finding in warnings[: RULES.findings]:
+        label = f"{finding.severity.upper():<7}  "
+        # Lines end at spaces: each costs up to a word.
+        width = RULES.finding_lines * (WIDTH - len(label)) - RULES.finding_lines * 8
+        text = wrapped(finding.brief(width, cure_text), label).split("\n")
+        if shown >= RULES.fewest and len(lines) + len(text) + 1 > room:
+            break
+        lines += text
+        shown += 1
+    left = len(findings) - shown
+    more = [f"... {left} more finding{'s' if left > 1 else ''} {_elsewhere(cure_text)}"]
+    return [*([""] if lines and len(lines) + 2 <= room else []), *lines, *(more if left else [])]

@@ -1,0 +1,1 @@
+"""Verdicts: whether to use an identified model, and why."""

@@ -1,0 +1,186 @@
+"""Reasons against an identified model, the weightiest first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from asbuilt.errors import DescriptionError, IdentifiabilityError
+from asbuilt.findings import Finding, joined
+from asbuilt.identification.bodies.consistency import non_passive_drives
+from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.result.as_built_parameters import FAR_FROM_CAD, as_built_parameters
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.tables import significant
+from asbuilt.validation.generalisation.cad_verdict import cad_verdict
+from asbuilt.validation.prediction import Validation
+from asbuilt.validation.rollout.rollout import Rollout
+from asbuilt.validation.verdicts.rules import DIMMING, OF_TORQUE, RULES
+from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError
+
+SAME_EFFECT = {"clock_wrong": "clock", "joint_gain_wrong": "gain", "zero_position_wrong": "zero"}
+"""Findings that name an effect which the selection of effects may name too."""
+
+
+class Reason(NamedTuple):
+    """Hold the code of a finding, a phrase, and whether it forbids to use the model."""
+
+    code: str
+    text: str
+    forbids: bool = False
+
+
+def reasons_against(
+    result: IdentificationResult,
+    findings: Sequence[Finding],
+    validations: Sequence[Validation],
+    simulated: Rollout | None,
+    error: VerdictError,
+    measure: Measure,
+) -> tuple[Reason, ...]:
+    """Return what speaks against a model, the weightiest first; empty if nothing does."""
+    untested = is_untested(result, findings, validations)
+    return (
+        *_of_checks(findings),
+        *_of_error(error, measure),
+        *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
+        *_of_findings(findings, result.effects, len(result.validation), measure),
+        *(_of_effect(each) for each in result.effects if _dims(each)),
+        *_of_joints(validations if measure == "torque" else ()),
+        *_of_consistency(result),
+        *_of_bodies(result),
+        *_of_simulation(result, simulated),
+    )
+
+
+def is_untested(
+    result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
+) -> bool:
+    """Return whether a model was measured on its training data alone."""
+    nothing = not (validations or result.validation)
+    return nothing or any(each.code == "nothing_held_out" for each in findings)
+
+
+def _of_checks(findings: Sequence[Finding]) -> Iterator[Reason]:
+    """Yield the errors of a recording that was used all the same."""
+    for each in findings:
+        if each.severity == "error":
+            yield Reason(each.code, each.message, forbids=True)
+
+
+def _of_error(error: VerdictError, measure: Measure) -> Iterator[Reason]:
+    """Yield that CAD is better, or that little of the torque is explained."""
+    found, cad = error.decisive, error.cad
+    if found is None:
+        return
+    if cad is not None and found > cad:
+        yield Reason("cad_predicts_better", "CAD is better", found > RULES.behind_cad * cad)
+    if measure == "torque" and found > RULES.weak:
+        much = "most" if found > RULES.useless else "much"
+        yield Reason(
+            "torque_unexplained", f"{much} of the torque is unexplained", found > RULES.useless
+        )
+
+
+def _of_findings(
+    findings: Sequence[Finding],
+    effects: Sequence[FoundEffect],
+    n_validations: int,
+    measure: Measure,
+) -> Iterator[Reason]:
+    """Yield the findings that dim a verdict, in the order of `DIMMING`, but what is an effect."""
+    named = {each.effect for each in effects if _dims(each)}
+    for code, phrase in DIMMING.items():
+        if SAME_EFFECT.get(code) in named:
+            continue
+        found = [each for each in findings if each.code == code]
+        if not found or (code == "held_out_repeats" and len(found) < n_validations):
+            continue
+        if measure == "rollout" and code in OF_TORQUE:
+            continue
+        names = list(dict.fromkeys(each.joint for each in found if each.joint is not None))
+        yield Reason(code, phrase.format(at=f" at {joined(names, 3)}" if names else ""))
+
+
+def _dims(each: FoundEffect) -> bool:
+    """Return whether an effect is left out that a model or a sheet could hold."""
+    family = EFFECTS[each.effect]
+    return not each.in_model and (family.in_model or family.of_log)
+
+
+def _of_effect(each: FoundEffect) -> Reason:
+    family = EFFECTS[each.effect]
+    unit = "" if each.unit == "1" else each.unit
+    size = f"{significant(each.estimate, 2)} {unit}".rstrip()
+    at = "" if each.joint is None else f" at {each.joint}"
+    where = "in the log" if family.of_log else "not in the model"
+    return Reason("effect_found", f"{family.title} of {size}{at} {where}")
+
+
+def _of_joints(validations: Sequence[Validation]) -> Iterator[Reason]:
+    """Yield the joints where CAD predicts other motion better, beyond chance."""
+    names = [
+        joint.joint
+        for each in validations
+        for joint in cad_verdict(each).joints
+        if joint.outcome == "worse"
+    ]
+    if names:
+        listed = joined(list(dict.fromkeys(names)), 3)
+        yield Reason("cad_predicts_better", f"CAD is better at {listed}")
+
+
+def _of_consistency(result: IdentificationResult) -> Iterator[Reason]:
+    """Yield that simulators do not take the parameters."""
+    if result.physically_consistent is not False:
+        return
+    if names := non_passive_drives(result.base, result.estimates):
+        yield Reason("non_passive_drives", f"negative {joined(names, 3)}, which no simulator takes")
+    else:
+        yield Reason("inconsistent", "physically inconsistent, so that no simulator takes it")
+
+
+def _of_bodies(result: IdentificationResult) -> Iterator[Reason]:
+    """Yield a link whose mass imitates something that is not in the model."""
+    try:
+        found = as_built_parameters(result)
+    except (IdentifiabilityError, DescriptionError):
+        return
+    if not found.consistent:
+        return
+    links = result.model.links
+    masses = found.parameters[9 : 10 * len(links) : 10].tolist()
+    total = sum(float(link.inertia.mass) for link in links)
+    off = [
+        (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)
+        for link, mass in zip(links, masses, strict=True)
+        if link.inertia_known
+        and link.inertia.mass > 0.0
+        and not 1.0 / FAR_FROM_CAD <= mass / link.inertia.mass <= FAR_FROM_CAD
+        and abs(mass - link.inertia.mass) > RULES.heavier * total
+    ]
+    if off:
+        _, name, mass, cad = max(off)
+        yield Reason(
+            "link_mass_differs",
+            f"{name} has {significant(mass)} kg for {significant(cad)} of CAD",
+        )
+
+
+def _of_simulation(result: IdentificationResult, simulated: Rollout | None) -> Iterator[Reason]:
+    """Yield what speaks against a robot identified from commands in its simulation."""
+    if result.servo is None:
+        return
+    if simulated is None:
+        if result.validation:
+            yield Reason("nothing_simulated", "its motion was not simulated")
+        return
+    built, plain = simulated.as_built, simulated.no_physics
+    if built is not None and built.diverged:
+        yield Reason("rollout_diverged", "simulations diverge")
+    if built is not None and plain is not None and built.rms_all > plain.rms_all:
+        yield Reason(
+            "rollout_worse_than_command",
+            f"the delayed command alone is closer ({1e3 * plain.rms_all:.3g})",
+        )

@@ -1,0 +1,167 @@
+"""Verdict on an identified model: whether to use it, the number behind it, and what speaks against.
+
+It is about the robot that exports carry, on motion that the fit has not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from asbuilt.errors import DescriptionError, IdentifiabilityError
+from asbuilt.findings import Finding, joined
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.tables import share, significant
+from asbuilt.validation.prediction import Validation
+from asbuilt.validation.rollout.rollout import Rollout
+from asbuilt.validation.verdicts.reasons import Reason, is_untested, reasons_against
+from asbuilt.validation.verdicts.rules import RULES
+from asbuilt.validation.verdicts.verdict_error import (
+    Measure,
+    VerdictError,
+    decisive_rollout,
+    rollout_error,
+    torque_error,
+)
+
+Use = Literal["yes", "with care", "no"]
+OPENING: dict[Use, str] = {"yes": "USE", "with care": "USE WITH CARE", "no": "DO NOT USE"}
+FINE = 0.01
+"""Share of the torque below which an error is shown with two decimals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Say whether to use an identified model.
+
+    Parameters
+    ----------
+    use
+        Whether to use it.
+    text
+        One sentence, which begins with the use in capitals.
+    error
+        The errors by which the model is measured.
+    measure
+        Whether they are errors of torque, as shares of it, or of the motion that is simulated under
+        logged commands [rad or m].
+    reasons
+        Codes of the findings that speak against the model, the weightiest first.
+    """
+
+    use: Use
+    text: str
+    error: VerdictError
+    measure: Measure
+    reasons: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def study_verdict(
+    result: IdentificationResult,
+    findings: Sequence[Finding] = (),
+    validations: Sequence[Validation] = (),
+    rollouts: Sequence[Rollout] = (),
+) -> Verdict:
+    """Return the verdict on a result, by motion that it was not fitted to.
+
+    Of several recordings the one with the largest error decides. Where commands stand for torques,
+    which are what the law of the servo makes of them, the simulated motion is measured.
+
+    Parameters
+    ----------
+    result
+        The identified robot.
+    findings
+        What is wrong, or worth knowing.
+    validations
+        Predictions of what was held out and of other recordings.
+    rollouts
+        Simulations of the same.
+    """
+    simulated = decisive_rollout(rollouts) if result.servo is not None else None
+    motion = _motion(result, findings, validations)
+    if simulated is None:
+        measure: Measure = "torque"
+        error = torque_error(result, validations)
+        outcome = f"predicts {motion} to {_torque_text(error)}"
+    else:
+        measure, error = "rollout", rollout_error(simulated)
+        outcome = f"simulates {motion} to {_rollout_text(result, simulated, error)}"
+    reasons = reasons_against(result, findings, validations, simulated, error, measure)
+    use = _use(reasons)
+    return Verdict(
+        use,
+        f"{OPENING[use]}: {_against(reasons)}{outcome}{_mass_text(result)}.",
+        error,
+        measure,
+        tuple(dict.fromkeys(each.code for each in reasons)),
+    )
+
+
+def _use(reasons: Sequence[Reason]) -> Use:
+    if any(each.forbids for each in reasons):
+        return "no"
+    return "with care" if reasons else "yes"
+
+
+def _against(reasons: Sequence[Reason]) -> str:
+    """Return the weightiest reasons as the start of a sentence; empty without any."""
+    texts = list(dict.fromkeys(each.text for each in reasons))[: RULES.named]
+    return f"{joined(texts)}; " if texts else ""
+
+
+def _motion(
+    result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
+) -> str:
+    """Return what the errors were measured on."""
+    if is_untested(result, findings, validations):
+        return "its training data"
+    sources = [each.source for each in validations or result.validation]
+    repeated = sum(each.code == "held_out_repeats" for each in findings)
+    if repeated and repeated >= len(sources):
+        return "the same motion"
+    held = all(source.endswith(f", held out {result.holdout}") for source in sources)
+    return "motion held out" if held else "other motion"
+
+
+def _torque_text(error: VerdictError) -> str:
+    cad = "" if error.cad is None else f" (CAD {_percent(error.cad)})"
+    return f"{_percent(error.decisive)} of the torque{cad}"
+
+
+def _percent(value: float | None) -> str:
+    return share(value, 2 if value is not None and value < FINE else 1)
+
+
+def _rollout_text(result: IdentificationResult, simulated: Rollout, error: VerdictError) -> str:
+    turns = {joint.is_revolute for joint in result.model.joints}
+    unit = "mrad" if turns == {True} else "mm" if turns == {False} else "mrad or mm"
+    size = "one that diverges" if error.decisive is None else f"{1e3 * error.decisive:.3g} {unit}"
+    cad = "" if error.cad is None else f" (CAD {significant(1e3 * error.cad)})"
+    return f"{size} over {simulated.horizon:g} s{cad}"
+
+
+def _mass_text(result: IdentificationResult) -> str:
+    """Return the mass of the links of the exported robot beside CAD's; empty without an export."""
+    try:
+        found = as_built_parameters(result)
+    except (IdentifiabilityError, DescriptionError):
+        return ", and no robot can be exported"
+    if not found.consistent:
+        return ""
+    links = result.model.links
+    built = float(np.sum(found.parameters[9 : 10 * len(links) : 10]))
+    cad = sum(float(link.inertia.mass) for link in links)
+    known = all(link.inertia_known for link in links) and cad > 0.0
+    return f", {_kilograms(built)} kg" + (f" for {_kilograms(cad)} of CAD" if known else "")
+
+
+def _kilograms(mass: float) -> str:
+    return significant(mass)

@@ -1,0 +1,124 @@
+"""Verdicts: whether to use an identified model, by what the exported robot predicts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.description.load import load_robot
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.findings import Finding
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.validation.prediction import validate_description
+from asbuilt.validation.verdicts.verdict import study_verdict
+from asbuilt.workflow.study import Study, identify
+from asbuilt.writers.models.as_built import as_built
+from asbuilt.writers.models.robot_toml import write_robot_toml
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[Recording]:
+    model = load_robot("scara")
+    robot = VirtualRobot.typical(model, rng=5)
+    return [
+        robot.record(random_fourier(model, rng=seed, duration=12.0), rate=200.0, rng=seed).recording
+        for seed in (1, 2)
+    ]
+
+
+@pytest.fixture(scope="module")
+def study(logs: list[Recording]) -> Study:
+    return identify("scara", logs[:1], validation=logs[1:])
+
+
+def test_a_model_that_predicts_another_motion_is_used(study: Study) -> None:
+    found = study.verdict
+    assert (found.use, found.measure, found.reasons) == ("yes", "torque", ())
+    assert found.text.startswith("USE: predicts other motion to ")
+    assert found.error.cad is not None
+    assert found.error.exported == pytest.approx(found.error.as_built, rel=0.2)
+
+
+def test_the_error_is_that_of_the_robot_file(
+    study: Study, logs: list[Recording], tmp_path: Path
+) -> None:
+    file = write_robot_toml(tmp_path / "robot.toml", as_built(study.result).model)
+    samples = prepare_samples(logs[1], study.result.chain)
+    written = validate_description(load_robot(file), samples).relative_error
+    assert study.verdict.error.exported == pytest.approx(written, rel=1e-9)
+
+
+def test_masses_are_those_of_the_robot_file(study: Study) -> None:
+    links = as_built(study.result).model.links
+    mass = sum(float(link.inertia.mass) for link in links)
+    assert f"{mass:.3g} kg for " in study.verdict.text
+
+
+def test_training_data_alone_earn_no_use(logs: list[Recording]) -> None:
+    found = identify("scara", logs[:1], holdout="none").verdict
+    assert (found.use, found.reasons[0]) == ("with care", "nothing_held_out")
+    assert "tested on its training data only" in found.text
+
+
+def test_data_that_repeat_the_training_motion_earn_no_use(study: Study) -> None:
+    repeated = Finding("held_out_repeats", "warning", "log repeats the training motion")
+    found = study_verdict(study.result, (*study.findings, repeated), study.validations)
+    assert found.use == "with care"
+    assert found.text.startswith("USE WITH CARE: tested on the same motion only; ")
+
+
+@pytest.mark.parametrize(
+    ("effect", "in_model", "use"),
+    [
+        ("tilt", False, "with care"),
+        ("gain", False, "with care"),
+        ("tilt", True, "yes"),
+        ("presliding", False, "yes"),
+    ],
+)
+def test_what_is_named_but_not_in_the_model_dims(
+    study: Study, effect: str, in_model: bool, use: str
+) -> None:
+    found = FoundEffect(effect, None, 1.3, 0.1, "deg", in_model, 1.0, 0.05, 0.03, (), "")
+    result = replace(study.result, effects=(found,))
+    assert study_verdict(result, study.findings, study.validations).use == use
+
+
+@pytest.mark.parametrize(("cad", "use"), [(2.0, "yes"), (0.9, "with care"), (0.5, "no")])
+def test_a_model_behind_cad_is_not_used(study: Study, cad: float, use: str) -> None:
+    (validation,) = study.validations
+    metrics = validation.metrics_exported
+    assert metrics is not None
+    by_cad = replace(metrics, relative_error=cad * metrics.relative_error)
+    found = study_verdict(study.result, (), (replace(validation, metrics_cad=by_cad),))
+    assert found.use == use
+    assert ("cad_predicts_better" in found.reasons) == (cad < 1.0)
+
+
+def test_a_recording_with_errors_forbids(study: Study) -> None:
+    wrong = Finding("clock_unit", "error", "time has another unit")
+    found = study_verdict(study.result, (wrong,), study.validations)
+    assert found.text.startswith("DO NOT USE: time has another unit; ")
+
+
+def test_several_recordings_count_by_the_worst(logs: list[Recording], study: Study) -> None:
+    (validation,) = study.validations
+    worse = replace(
+        validation, metrics_exported=replace(validation.metrics_as_built, relative_error=0.4)
+    )
+    found = study_verdict(study.result, (), (validation, worse))
+    assert found.error.exported == 0.4
+    assert found.use == "with care"
+
+
+def test_a_verdict_is_stored_with_its_study(study: Study) -> None:
+    again = Study.from_json(study.to_json())
+    assert again.verdict == study.verdict
+    assert not again.validations
+    assert np.isfinite(again.verdict.error.exported or np.nan)

@@ -1,0 +1,31 @@
+"""The page of a checked recording: its headline, its findings, a drawing."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from asbuilt.description.load import load_robot
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.writers.reports.check_page import write_check_page
+
+
+def test_the_page_says_what_is_wrong_and_draws_every_joint(tmp_path: Path) -> None:
+    model = load_robot("scara")
+    motion = random_fourier(model, rng=1, duration=8.0)
+    log = VirtualRobot.typical(model, rng=5).record(motion, rate=100.0, rng=1).recording
+    wrong = replace(log, tau=-log.tau, source="<b>.csv")
+    checks = [check_recording(model, each) for each in (log, wrong)]
+    files = write_check_page(tmp_path, [log, wrong], checks)
+    text = files["page"].read_text(encoding="utf-8")
+    assert "READY" in text
+    assert "NOT READY" in text
+    assert "<b>.csv" not in text
+    drawn = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', text)
+    assert len(drawn) == 2
+    assert all(b"</svg>" in base64.b64decode(each) for each in drawn)
+    assert not re.search(r'(src|href)="https?:', text)
