@@ -178,13 +178,21 @@ def _draft(
     table: LogTable, sheet: RecordingSheet, model: RobotModel, reading: ReadingOptions
 ) -> Layout | None:
     """Return what the names of the columns alone give, else their values; None if nothing."""
+    from asbuilt.experiment.logs.columns.layout import find_layout
     from asbuilt.experiment.logs.readers import layout_of, suggested_sheet
     from asbuilt.experiment.logs.sheet import RecordingSheet
     from asbuilt.untrusted import parsed_toml
 
     if table.named:
         with suppress(RecordingError):
-            return layout_of(table, sheet, None, reading)
+            return find_layout(
+                table.source,
+                tuple(table.columns),
+                sheet=sheet,
+                known=table.known,
+                order=table.order,
+                has_gains=True,
+            )
     with suppress(RecordingError, ValueError):
         draft = RecordingSheet.model_validate(
             parsed_toml(suggested_sheet(table, model, reading.rate))

@@ -65,19 +65,24 @@
 
   /* ---- one look at the state; steps that only read follow by themselves ---- */
 
+  let looks = 0;
+  let timer = 0;
   async function show(next) {
+    const look = looks += 1;
+    clearTimeout(timer);
     state = next;
     drawChoices();
     for (const [step, told] of Object.entries(state.steps)) {
       const key = JSON.stringify([told.command, told.answered]) + (state.job ? state.job.step : "");
       if (told.answered && !(state.job && state.job.step === step) && seen[step] !== key) {
-        seen[step] = key;
         answers[step] = await ask("GET", "answer/" + step);
+        if (look !== looks) return;
+        seen[step] = key;
       }
     }
     drawSteps();
     drawJob();
-    if (state.job) { setTimeout(refresh, 250); return; }
+    if (state.job) { timer = setTimeout(refresh, 250); return; }
     const due = ["show", "columns", "check"].find((step) => !state.steps[step].refusal && !state.steps[step].current);
     if (due) await post("run/" + due);
   }
