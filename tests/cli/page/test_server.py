@@ -127,8 +127,8 @@ def test_only_files_of_the_folder_are_given(server: PageServer, tmp_path: Path, 
 @pytest.mark.parametrize(
     ("name", "written"),
     [
-        ("run 1.csv", "run_1.csv"),
-        ("..%2f..%2f.bashrc", "bashrc"),
+        ("run%201.csv", "run_1.csv"),
+        ("..%2f..%2f.bashrc", "file/file/bashrc"),
         ("%2e%2e/%2e%2e/x.csv", "file/file/x.csv"),
         ("bag/metadata.yaml", "bag/metadata.yaml"),
         ("-rf", "rf"),

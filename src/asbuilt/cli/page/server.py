@@ -270,5 +270,5 @@ def _file_name(name: str) -> str:
     >>> _file_name("../../.bashrc"), _file_name("run 1.csv")
     ('bashrc', 'run_1.csv')
     """
-    last = unquote(name).replace("\\", "/").rsplit("/", maxsplit=1)[-1]
+    last = name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
     return re.sub(r"[^\w.+-]", "_", last).lstrip(".-")[-100:] or "file"
