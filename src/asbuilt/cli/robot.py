@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
@@ -36,6 +36,8 @@ from asbuilt.experiment.logs.options import ReadingOptions
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
     from asbuilt.excitation.motions.motion import Motion
+    from asbuilt.experiment.logs.long_recordings import RecordingStream
+    from asbuilt.experiment.recording import Recording
     from asbuilt.executor import Workers
     from asbuilt.identification.result.result import IdentificationResult
 
@@ -233,14 +235,19 @@ def _played(model: RobotModel, path: Path, reading: ReadingOptions) -> Motion:
     from asbuilt.writers.pictures.played_recording import motion_of_recording
 
     options = replace(reading, fixed_base=False)
+
+    def logged() -> Motion:
+        (recording,) = as_recordings(model, path, options)
+        return motion_of_recording(cast("Recording | RecordingStream", recording))
+
     try:
         if path.suffix.lower() == ".csv" and not any(given_options(options).values()):
             return read_motion(path, model)
     except MotionError as problem:
         with suppress(RecordingError):
-            return motion_of_recording(as_recordings(model, path, options)[0])
+            return logged()
         raise problem from None
-    return motion_of_recording(as_recordings(model, path, options)[0])
+    return logged()
 
 
 def export(

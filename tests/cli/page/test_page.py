@@ -149,6 +149,8 @@ def open_page(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Page]]:
         while lines[-1] not in ("}\n", ""):
             lines.append(process.stdout.readline())
         url = json.loads("".join(lines))["url"]
+        for log in ("performance", "browser"):
+            browser.get_log(log)  # those of the page before
         browser.get(url)
         return Page(browser, url, folder)
 
@@ -219,7 +221,7 @@ def test_from_files_to_an_exported_model(
 def virtual(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> tuple[Path, Path]:
     """A robot file and a recording of it."""
     robot, log = tmp_path / "my robot.toml", tmp_path / "my log.csv"
-    document(capsys, "convert", "two-link", robot)
+    assert call(capsys, "convert", "two-link", robot)[0] == 0
     document(capsys, "simulate", robot, "--engine", "inverse-dynamics", "-o", log)
     return robot, log
 

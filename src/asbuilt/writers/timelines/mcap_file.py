@@ -10,7 +10,7 @@ import io
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from asbuilt.errors import MissingExtraError
 from asbuilt.findings import Severity
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.timelines.timeline import Timeline, Track
-
-if TYPE_CHECKING:
-    from mcap.writer import Writer
 
 STATE, LOG = "sensor_msgs/msg/JointState", "rcl_interfaces/msg/Log"
 LEVELS: dict[Severity, int] = {"info": 20, "warning": 30, "error": 40}
@@ -57,7 +54,7 @@ def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> P
 class _Messages:
     """Messages of a file, with the definitions of their types."""
 
-    def __init__(self, writer: Writer, store: Any) -> None:
+    def __init__(self, writer: Any, store: Any) -> None:
         self.writer, self.types = writer, store
         self.written: list[tuple[int, int, bytes]] = []
         self.schemas = {
