@@ -36,9 +36,9 @@ from asbuilt.experiment.logs.options import ReadingOptions
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
     from asbuilt.excitation.motions.motion import Motion
+    from asbuilt.executor import Workers
     from asbuilt.experiment.logs.long_recordings import RecordingStream
     from asbuilt.experiment.recording import Recording
-    from asbuilt.executor import Workers
     from asbuilt.identification.result.result import IdentificationResult
 
 
