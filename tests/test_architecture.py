@@ -159,7 +159,7 @@ def test_every_package_that_is_imported_is_declared() -> None:
         *project["dependencies"],
         *(
             each
-            for extra in ("sim", "bags", "hdf5", "cad", "view", "cluster", "robots", "s3")
+            for extra in ("sim", "bags", "hdf5", "cad", "view", "rerun", "cluster", "robots", "s3")
             for each in project["optional-dependencies"][extra]
         ),
     ]

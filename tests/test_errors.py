@@ -28,7 +28,7 @@ def test_fields_are_attributes_and_survive_pickling() -> None:
         error.upper  # noqa: B018 - the access itself is tested
 
 
-@pytest.mark.parametrize("extra", ["sim", "bags", "hdf5", "cad", "view"])
+@pytest.mark.parametrize("extra", ["sim", "bags", "hdf5", "cad", "view", "rerun"])
 def test_a_missing_extra_names_every_package_to_install(extra: str) -> None:
     names = {re.split(r"[<>=\[]", each)[0] for each in PROJECT["optional-dependencies"][extra]}
     text = str(MissingExtraError(min(names), extra, "this"))

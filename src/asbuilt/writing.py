@@ -10,7 +10,7 @@ import platform
 import re
 import stat
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -29,7 +29,7 @@ _PENDING: ContextVar[dict[Path, Path] | None] = ContextVar("_PENDING", default=N
 
 def atomic_write(
     path: str | os.PathLike[str],
-    data: str | bytes,
+    data: str | bytes | Iterable[bytes],
     *,
     mode: int | None = None,
     create: bool = False,
@@ -45,7 +45,7 @@ def atomic_write(
     path
         The file. A symbolic link is not followed, and not replaced.
     data
-        Its content.
+        Its content, whole or in pieces.
     mode
         Its permissions; None: those of the file that is replaced, or what the umask leaves.
     create
@@ -62,7 +62,8 @@ def atomic_write(
         refuses.
     """
     target = Path(path)
-    content = data.encode("utf-8", "backslashreplace") if isinstance(data, str) else data
+    whole = data.encode("utf-8", "backslashreplace") if isinstance(data, str) else data
+    pieces = [whole] if isinstance(whole, bytes) else whole
     check_replaceable(target, own=own)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -74,7 +75,7 @@ def atomic_write(
         raise _unwritable(shown_path(target), error) from error
     try:
         with os.fdopen(descriptor, "wb") as stream:
-            stream.write(content)
+            stream.writelines(pieces)
             stream.flush()
             os.fsync(stream.fileno())
         Path(temporary).chmod(_permissions(target) if mode is None else mode)
@@ -90,9 +91,8 @@ def atomic_write(
         raise
     except OSError as error:
         Path(temporary).unlink(missing_ok=True)
-        raise UsageError(
-            f"cannot write {len(content)} bytes to {target}: {error.strerror or error}"
-        ) from error
+        size = f"{len(whole)} bytes to " if isinstance(whole, bytes) else ""
+        raise UsageError(f"cannot write {size}{target}: {error.strerror or error}") from error
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise

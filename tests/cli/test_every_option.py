@@ -33,8 +33,8 @@ ARGUMENTS = {
     "KIND": "sheet",
 }  # fmt: skip
 """What stands for each argument."""
-SKIPPED = {"demo", "reproduce", "fleet"}
-"""Commands of minutes, and the name of others."""
+SKIPPED = {"demo", "reproduce", "fleet", "open"}
+"""Commands of minutes, one that serves until it is ended, and the name of others."""
 NUMBERS = ("nan", "inf", "-inf", "-1", "0", "1e308", "-1e308", "1e-308", "1e20", "9" * 400, "true",
            "0x10", "1_0", "", "1,", "\u0663", "1e")  # fmt: skip
 TEXTS = (*NUMBERS, "x" * 5000, "../..", "a=b=c", ",,,", "=", "1,2,3,4,5,6,7,8,9", "\ud800", "-",

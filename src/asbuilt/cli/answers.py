@@ -44,6 +44,7 @@ class Screen:
         """Show that `what` is done to a fraction; zero shows that it is under way."""
         stage = what.split(":", maxsplit=1)[0]
         first = stage not in self._tasks
+        _listener.get()(what, fraction)
         if self.verbose and first:
             self._line(f"{time.perf_counter() - self._started:7.1f} s  {stage}")
         if self.quiet or not self._terminal:
@@ -63,6 +64,7 @@ class Screen:
 
         message = COMPILING if kernel.is_kept else COMPILING_EACH_TIME
         stage = message.replace(":", ",")
+        _listener.get()(stage, 0.0)
         if self._terminal:
             self.report(stage, 0.0)
         elif not self.quiet:
@@ -94,6 +96,19 @@ class Screen:
 
 
 _screen: ContextVar[Screen | None] = ContextVar("screen of the running command", default=None)
+_listener: ContextVar[Callable[[str, float], None]] = ContextVar(
+    "who is told of progress beside the screen", default=lambda what, fraction: None
+)
+
+
+@contextmanager
+def progress_told(listener: Callable[[str, float], None]) -> Iterator[None]:
+    """Tell `listener(what, fraction)` of the progress of commands, as the screen is told."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
 
 
 @contextmanager

@@ -131,6 +131,13 @@ GROUPS: dict[str, dict[str, Entry]] = {
             ("ur10e log.csv", "ur10e log.csv --flip-torque --json"),
             "check_recording",
         ),
+        "columns": Entry(
+            "page.columns",
+            "Show which column of a log is which quantity of which joint.",
+            ("ur10e log.csv", "ur10e log.csv --sheet log.toml --json"),
+            "",
+            compiles=False,
+        ),
         "gains": Entry(
             "calibration.gains",
             "Find torque per logged unit from a payload of known mass.",
@@ -224,6 +231,13 @@ GROUPS: dict[str, dict[str, Entry]] = {
         ),
     },
     "Complete runs": {
+        "open": Entry(
+            "page.command",
+            "Open a page in the browser: from files to a trusted model.",
+            ("", "my_robot.urdf log.csv --no-browser"),
+            "",
+            compiles=False,
+        ),
         "demo": Entry(
             "demos.story",
             "Design, record, identify, validate and export on a bundled robot.",

@@ -32,6 +32,7 @@ from asbuilt.cli.arguments.options import (
     writable_file,
 )
 from asbuilt.cli.arguments.spread import given_options
+from asbuilt.cli.arguments.timelines import TimelineFiles
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.tables import wrapped
@@ -69,6 +70,7 @@ def identify(
     scheduler: Scheduler = None,
     reading: ReadingOptions,
     filtering: Filtering,
+    timelines: TimelineFiles,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -89,6 +91,7 @@ def identify(
         from asbuilt.workflow.calibration.payload_study import identify_payload
         from asbuilt.workflow.study import identify as identify_robot
         from asbuilt.writers.reports.study_files import study_document, study_text, write_study
+        from asbuilt.writers.timelines.timeline import timelines_of_validations
 
         study = identify_robot(
             model,
@@ -107,6 +110,14 @@ def identify(
             write_study(out, study, payload=carried, command=sys.argv[1:])
             if out is not None
             else ({}, {})
+        )
+        files |= timelines.write(
+            lambda: timelines_of_validations(
+                study.result.model,
+                study.validations or study.training,
+                [*recordings, *others],
+                study.findings,
+            )
         )
     answer(
         as_json,
@@ -175,6 +186,7 @@ def validate(
     scheduler: Scheduler = None,
     reading: ReadingOptions,
     filtering: Filtering,
+    timelines: TimelineFiles,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -195,6 +207,7 @@ def validate(
             "--require compares an identified model with CAD; a robot as described is CAD",
             {"--require": require},
         )
+        refuse_idle("timelines show the predictions of a result", given_options(timelines))
         with shared_work(workers, scheduler) as shared:
             _validate_described(
                 result, log, options, reading, out, animation, shared, full=full, as_json=as_json
@@ -214,6 +227,7 @@ def validate(
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import validate_document
+    from asbuilt.writers.timelines.timeline import timelines_of_validations
 
     validations = validate_result(identified, logged, options=options)
     with shared_work(workers, scheduler) as shared:
@@ -222,6 +236,9 @@ def validate(
         )
     files = write_validations(out, identified, validations) if out is not None else {}
     files |= write_rollouts(identified.model, simulated, out, animation)
+    files |= timelines.write(
+        lambda: timelines_of_validations(identified.model, validations, logged)
+    )
     comparison = compare(identified, validation=validations)
     verdicts = [cad_verdict(validation) for validation in validations]
     found = validation_verdict(identified, logged, validations, simulated)

@@ -17,6 +17,7 @@ from asbuilt.cli.arguments.options import (
     read_result,
     recordings_of,
 )
+from asbuilt.cli.arguments.timelines import TimelineFiles
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.workflow.watching.options import WatchOptions
@@ -42,6 +43,7 @@ def watch(
     ] = None,
     options: WatchOptions,
     reading: ReadingOptions,
+    timelines: TimelineFiles,
     out: Out = None,
     full: Full = False,
     as_json: AsJson = False,
@@ -64,6 +66,7 @@ def watch(
         quiet = recordings_of(identified.model, calibrate, reading)
         from asbuilt.workflow.watching.watch import watch as watch_log
         from asbuilt.writers.reports.watch_files import watch_document, write_watched
+        from asbuilt.writers.timelines.timeline import timeline_of_watched
 
         watched = watch_log(
             identified,
@@ -74,6 +77,7 @@ def watch(
             progress=report,
         )
         files = write_watched(out, watched) if out is not None else {}
+        files |= timelines.write(lambda: [timeline_of_watched(identified.model, watched, logged)])
     said = "".join(wrapped(finding_text(each)) + "\n" for each in watched.findings)
     answer(
         as_json,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
@@ -28,11 +29,16 @@ from asbuilt.cli.arguments.options import (
     shared_work,
     writable_file,
 )
-from asbuilt.cli.arguments.spread import one_of
-from asbuilt.errors import UsageError
+from asbuilt.cli.arguments.spread import given_options, one_of
+from asbuilt.errors import MotionError, RecordingError, UsageError
+from asbuilt.experiment.logs.options import ReadingOptions
 
 if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
+    from asbuilt.excitation.motions.motion import Motion
     from asbuilt.executor import Workers
+    from asbuilt.experiment.logs.long_recordings import RecordingStream
+    from asbuilt.experiment.recording import Recording
     from asbuilt.identification.result.result import IdentificationResult
 
 
@@ -144,8 +150,11 @@ def view(
     robot: RobotOrResult,
     motion: Annotated[
         Path | None,
-        typer.Argument(metavar="[MOTION]", help="motion or recording as CSV (t, q_*, ...) to play"),
+        typer.Argument(
+            metavar="[MOTION]", help="motion as CSV (t, q_*, ...), or any recording, to play"
+        ),
     ] = None,
+    *,
     save: Annotated[
         Path | None,
         typer.Option(
@@ -176,18 +185,17 @@ def view(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="open the page in a browser")
     ] = True,
-    fixed_base: FixedBase = False,
+    reading: ReadingOptions,
     as_json: AsJson = False,
 ) -> None:
     """Show the robot in 3-D in the browser, or save a picture, an animation or a page.
 
     The browser shows frames, centres of mass and inertia ellipsoids; Ctrl-C ends it.
     """
-    from asbuilt.excitation.motions.motion_csv import read_motion
     from asbuilt.writers.pictures.view import view_robot
 
-    model = robot_as_built(robot, fixed_base=fixed_base)
-    moved = None if motion is None else read_motion(motion, model)
+    model = robot_as_built(robot, fixed_base=reading.fixed_base)
+    moved = None if motion is None else _played(model, motion, reading)
     about = {"robot": model.name, "duration": None if moved is None else moved.duration}
     chosen = one_of("--style", style, ("auto", "rendered", "skeleton"))
     with progress_bar() as report:
@@ -218,6 +226,28 @@ def view(
             shown.serve()
     finally:
         shown.close()
+
+
+def _played(model: RobotModel, path: Path, reading: ReadingOptions) -> Motion:
+    """Return the motion of a motion file, or of a recording in any format."""
+    from asbuilt.excitation.motions.motion_csv import read_motion
+    from asbuilt.experiment.logs.recordings import as_recordings
+    from asbuilt.writers.pictures.played_recording import motion_of_recording
+
+    options = replace(reading, fixed_base=False)
+
+    def logged() -> Motion:
+        (recording,) = as_recordings(model, path, options)
+        return motion_of_recording(cast("Recording | RecordingStream", recording))
+
+    try:
+        if path.suffix.lower() == ".csv" and not any(given_options(options).values()):
+            return read_motion(path, model)
+    except MotionError as problem:
+        with suppress(RecordingError):
+            return logged()
+        raise problem from None
+    return logged()
 
 
 def export(

@@ -77,7 +77,7 @@ def read_recording(
     for path in listed:
         check_readable(path)
     sheet, notes = find_sheet(listed[0], chosen.sheet)
-    table = _read_tables(listed, sheet)
+    table = read_table(listed, sheet)
     if len(listed) == 1 and not table.known:
         _refuse_lone_role_file(listed[0], table)
     return _recording(table, sheet, notes, model, chosen)
@@ -207,7 +207,11 @@ def _read_table(path: Path, sheet: RecordingSheet) -> LogTable:
     return log_format(path).read(path, sheet)
 
 
-def _read_tables(paths: list[Path], sheet: RecordingSheet) -> LogTable:
+def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
+    """Return the columns of a log, of the files of one quantity each, or of those of the sheet.
+
+    Raises `RecordingError` if they are no recording, or several.
+    """
     listed = sheet.files.model_dump().items()
     files = {quantity: Path(name) for quantity, name in listed if name is not None}
     if files:
@@ -257,13 +261,14 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
 
 def _draft(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
     """Return the draft of a sheet for columns whose names are of no use, empty if none fits."""
-    sheet = _suggested(table, model, rate)
+    sheet = suggested_sheet(table, model, rate)
     if DRAFT in sheet:
         return ""
     return f". From the values it may read (check it):\n\n{sheet}\n"
 
 
-def _suggested(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
+def suggested_sheet(table: LogTable, model: RobotModel | None, rate: float | None) -> str:
+    """Return the draft of a sheet by the values of the columns."""
     order = table.order or tuple(table.columns)
     numbers = [order.index(name) + 1 for name in table.columns]
     return suggest_sheet(table.columns, model, named=table.named, rate=rate, numbers=numbers)
@@ -279,7 +284,7 @@ def _unnamed_columns(
             f"name them in a recording sheet {Path(table.source).stem}.toml beside it; from the"
             " values it may read as follows (column numbers from 1; check it, and add gains = [...]"
             " and torque_source if the torques are currents):\n\n"
-            f"{_suggested(table, model, rate)}\n"
+            f"{suggested_sheet(table, model, rate)}\n"
         ),
         file=table.source,
         value=count,

@@ -1,0 +1,53 @@
+"""Options of the commands that write timelines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asbuilt.cli.arguments.options import writable_file
+
+if TYPE_CHECKING:
+    from asbuilt.writers.timelines.timeline import Timeline
+
+
+@dataclass(frozen=True)
+class TimelineFiles:
+    """The files in which a viewer shows measured and predicted torques over time."""
+
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            "--mcap",
+            metavar="FILE",
+            help="measured and predicted torques and events, for Foxglove and PlotJuggler",
+            callback=writable_file,
+        ),
+    ] = None
+    rrd: Annotated[
+        Path | None,
+        typer.Option(
+            "--rrd",
+            metavar="FILE",
+            help="the same with the moving robot, for rerun",
+            callback=writable_file,
+        ),
+    ] = None
+
+    def write(self, timelines: Callable[[], Sequence[Timeline]]) -> dict[str, Path]:
+        """Write the files that are asked for, and return their paths by kind."""
+        if self.mcap is None and self.rrd is None:
+            return {}
+        from asbuilt.writers.timelines.mcap_file import write_mcap
+        from asbuilt.writers.timelines.rrd_file import write_rrd
+
+        made, files = timelines(), {}
+        if self.mcap is not None:
+            files["mcap"] = write_mcap(self.mcap, made)
+        if self.rrd is not None:
+            files["rrd"] = write_rrd(self.rrd, made)
+        return files

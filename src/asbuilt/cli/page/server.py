@@ -1,0 +1,274 @@
+"""Web server of the page: one user of this machine, who has its address.
+
+The address begins with a secret, without which nothing is answered. Only requests to the server's
+own name are, and none that another page sends; the page asks nothing of any other server.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import secrets
+import socket
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, cast
+from urllib.parse import unquote
+
+from asbuilt.cli.answers import cure_text
+from asbuilt.cli.page.session import Session
+from asbuilt.errors import AsbuiltError, UsageError
+from asbuilt.writing import atomic_write
+
+HOST = "127.0.0.1"
+NAMES = (HOST, "localhost")
+LAST_PORT_OFFSET = 20
+"""How many ports after the wanted one are tried."""
+LARGEST_UPLOAD = 4e9
+"""Bytes of a file, as of logs that are read whole."""
+LARGEST_REQUEST = 4_000_000
+"""Bytes of a request that is no file: the choices of ten thousand columns take 1 MB."""
+CHUNK = 1 << 20
+UPLOADS = "uploads"
+KINDS = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".json": "application/json",
+    ".png": "image/png",
+}
+"""Types of what is answered; other files are downloaded."""
+OWN = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src"
+    " 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What the page may load: files of this server alone."""
+FRAMED = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:"
+    " data:; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; connect-src data:"
+    " blob:; worker-src blob: data:; base-uri 'none'; form-action 'none'"
+)
+"""What a written page, such as a report, may load in its frame: nothing but itself."""
+
+
+class PageServer(ThreadingHTTPServer):
+    """Serve a session on this machine.
+
+    Parameters
+    ----------
+    session
+        What the page shows.
+    port
+        Port, or the next free one of 20; 0: any.
+
+    Raises
+    ------
+    UsageError
+        If no port is free.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = False
+
+    def __init__(self, session: Session, port: int) -> None:
+        self.session = session
+        self.token = secrets.token_urlsafe(24)
+        for tried in range(port, port + LAST_PORT_OFFSET + 1):
+            with contextlib.suppress(OSError, OverflowError):
+                super().__init__((HOST, tried), Handler)
+                return
+        raise UsageError(f"no port from {port} to {port + LAST_PORT_OFFSET} is free", value=port)
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """Names by which this server is asked."""
+        return tuple(f"{name}:{self.server_address[1]}" for name in NAMES)
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with its secret."""
+        return f"http://{self.hosts[0]}/{self.token}/"
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answer one request."""
+
+    server_version, sys_version = "asbuilt", ""
+    protocol_version = "HTTP/1.1"
+    timeout = 60.0
+
+    @property
+    def session(self) -> Session:
+        """What the page shows."""
+        return cast(PageServer, self.server).session
+
+    def do_GET(self) -> None:
+        """Answer with the page, its state, an answer of a step, or a file that was written."""
+        place = self._place()
+        if place == "state":
+            self._json(self.session.as_document())
+        elif place is not None and place.startswith("answer/"):
+            self._json(self.session.answers.get(place.removeprefix("answer/"), ((), None))[1])
+        elif place is not None and place.startswith("files/"):
+            self._file(self._written(place.removeprefix("files/")), FRAMED)
+        elif place is not None:
+            self._file(_resource(place or "page.html"), OWN)
+
+    def do_POST(self) -> None:
+        """Change what is chosen, write a sheet, start a step, or end it."""
+        place = self._place()
+        if place is None:
+            return
+        try:
+            given = self._body()
+            if place == "state":
+                self.session.choose(given)
+            elif place == "sheet":
+                self.session.assign(given.get("columns", []))
+            elif place == "cancel":
+                self.session.cancel()
+            elif place.startswith("run/"):
+                self.session.run(place.removeprefix("run/"))
+            else:
+                self.send_error(HTTPStatus.NOT_FOUND)
+                return
+        except AsbuiltError as problem:
+            hint = cure_text(problem.cure)
+            text = problem.message + (f"; {hint}" if hint else "")
+            self._json({"error": text}, HTTPStatus.CONFLICT)
+            return
+        self._json(self.session.as_document())
+
+    def do_PUT(self) -> None:
+        """Write an uploaded file, piece by piece, into the folder of the page."""
+        place = self._place()
+        if place is None:
+            return
+        size = self._size(LARGEST_UPLOAD)
+        if size is None:
+            return
+        path = self.session.folder / UPLOADS / Path(*map(_file_name, place.split("/")[1:]))
+        left = size
+
+        def pieces() -> Any:
+            nonlocal left
+            while left:
+                piece = self.rfile.read(min(CHUNK, left))
+                if not piece:
+                    raise UsageError("the upload ended early; send the file again")
+                left -= len(piece)
+                yield piece
+
+        try:
+            atomic_write(path, pieces())
+        except AsbuiltError as problem:
+            self.close_connection = True
+            self._json({"error": problem.message}, HTTPStatus.CONFLICT)
+            return
+        self._json({"path": str(path)})
+
+    def _place(self) -> str | None:
+        """Return what is asked for; None, and an error to the browser, if that is not allowed."""
+        server = cast(PageServer, self.server)
+        token, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
+        own = self.headers.get("Host", "") in server.hosts
+        origin = self.headers.get("Origin")
+        asked_here = origin in {f"http://{host}" for host in server.hosts}
+        allowed = own and (asked_here if origin or self.command != "GET" else True)
+        if not allowed or not secrets.compare_digest(token.encode(), server.token.encode()):
+            self.close_connection = True
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return None
+        return unquote(place)
+
+    def _size(self, most: float) -> int | None:
+        """Return the length of what is sent; None, and an error, if it is unknown or too large."""
+        text = self.headers.get("Content-Length", "")
+        if not text.isdecimal() or int(text) > most:
+            self.close_connection = True
+            self.send_error(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE if text else HTTPStatus.LENGTH_REQUIRED
+            )
+            return None
+        return int(text)
+
+    def _body(self) -> dict[str, Any]:
+        size = self._size(LARGEST_REQUEST) or 0
+        try:
+            given = json.loads(self.rfile.read(size) or b"{}")
+        except (ValueError, RecursionError):
+            given = None
+        if not isinstance(given, dict):
+            raise UsageError("the request is not a JSON object")
+        return given
+
+    def _written(self, place: str) -> Path | None:
+        """Return a file of the folder, None if it is none or lies elsewhere."""
+        folder = self.session.folder.resolve()
+        path = (folder / place).resolve()
+        return path if path.is_relative_to(folder) and path.is_file() else None
+
+    def _file(self, path: Path | None, policy: str) -> None:
+        if path is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        kind = KINDS.get(path.suffix)
+        with path.open("rb") as stream:
+            self._head(path.stat().st_size, kind or "application/octet-stream", policy)
+            if kind is None:
+                self.send_header("Content-Disposition", f'attachment; filename="{path.name}"')
+            self.end_headers()
+            while piece := stream.read(CHUNK):
+                self.wfile.write(piece)
+
+    def _json(self, document: Any, status: HTTPStatus = HTTPStatus.OK) -> None:
+        content = json.dumps(document).encode()
+        self._head(len(content), KINDS[".json"], OWN, status)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def _head(self, size: int, kind: str, policy: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(size))
+        self.send_header("Content-Security-Policy", policy)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.send_header("Cache-Control", "no-store")
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Keep quiet: the terminal shows the address alone."""
+
+    def handle_one_request(self) -> None:
+        """Answer a request; a browser that goes away is no error."""
+        with contextlib.suppress(ConnectionError, socket.timeout):
+            super().handle_one_request()
+            return
+        self.close_connection = True
+
+
+def _resource(name: str) -> Path | None:
+    """Return a file of the page, or the style of reports that it shares; None for others."""
+    from asbuilt.writers.reports import page as reports
+
+    own, shared = Path(__file__).parent / "templates", Path(reports.__file__).parent / "templates"
+    for folder, names in (
+        (own, ("page.html", "page.js", "plot.js", "page.css")),
+        (shared, ("report.css",)),
+    ):
+        if name in names:
+            return folder / name
+    return None
+
+
+def _file_name(name: str) -> str:
+    """Return a name that is one of a file in this folder, whatever was sent.
+
+    >>> _file_name("../../.bashrc"), _file_name("run 1.csv")
+    ('bashrc', 'run_1.csv')
+    """
+    last = name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
+    return re.sub(r"[^\w.+-]", "_", last).lstrip(".-")[-100:] or "file"

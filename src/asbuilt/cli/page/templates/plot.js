@@ -1,0 +1,141 @@
+"use strict";
+const asbuiltPlot = (function () {
+  function make(parent, tag, attributes, text) {
+    const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+    if (text !== undefined) node.textContent = text;
+    parent.append(node);
+    return node;
+  }
+
+  function ticks(low, high, count) {
+    const raw = (high - low) / count;
+    const power = 10 ** Math.floor(Math.log10(raw));
+    const step = power * [1, 2, 5, 10].find((factor) => factor * power >= raw);
+    const found = [];
+    for (let k = Math.ceil(low / step); k * step <= high + 1e-9 * step; k += 1) found.push(k * step);
+    return found;
+  }
+
+  const shown = (value) => String(Number(value.toPrecision(4)));
+
+  function extent(values) {
+    let low = Infinity;
+    let high = -Infinity;
+    for (const value of values) {
+      if (value === null) continue;
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+    if (low > high) return [0, 1];
+    return low === high ? [low - 0.5, high + 0.5] : [low, high];
+  }
+
+  function path(x, y, across, up) {
+    let text = "";
+    let pen = "M";
+    for (let i = 0; i < x.length; i += 1) {
+      if (x[i] === null || y[i] === null) { pen = "M"; continue; }
+      text += pen + across(x[i]).toFixed(1) + " " + up(y[i]).toFixed(1);
+      pen = "L";
+    }
+    return text;
+  }
+
+  /* Lines in panels above each other on one x axis; drag to zoom, double-click to see all. */
+  function plot(holder, spec) {
+    const width = holder.clientWidth || 680;
+    const height = holder.clientHeight || 260;
+    const left = 52;
+    const top = width < 560 ? 66 : 26;
+    const bottom = height - 40;
+    holder.textContent = "";
+    const svg = make(holder, "svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": spec.label });
+    const all = spec.panels.flatMap((panel) => panel.traces);
+    const range = holder.range || extent(all.flatMap((trace) => trace.x));
+    const across = (x) => left + (width - left - 10) * (x - range[0]) / (range[1] - range[0]);
+    const clip = make(svg, "clipPath", { id: holder.id + "-clip" });
+    make(clip, "rect", { x: left, y: 0, width: width - left - 10, height });
+    const sum = spec.panels.reduce((total, panel) => total + panel.share, 0);
+    let from = top;
+    for (const panel of spec.panels) {
+      const to = from + (bottom - top - 14 * (spec.panels.length - 1)) * panel.share / sum;
+      const inside = (trace) => trace.y.filter((_, i) => trace.x[i] === null || (trace.x[i] >= range[0] && trace.x[i] <= range[1]));
+      const [low, high] = extent(panel.traces.flatMap(inside));
+      const span = [low - 0.05 * (high - low), high + 0.05 * (high - low)];
+      const up = (y) => to - (to - from) * (y - span[0]) / (span[1] - span[0]);
+      for (const y of ticks(span[0], span[1], Math.max(2, (to - from) / 45))) {
+        make(svg, "line", { class: "grid", x1: left, x2: width - 10, y1: up(y), y2: up(y) });
+        make(svg, "text", { class: "tick", x: left - 5, y: up(y) + 4, "text-anchor": "end" }, shown(y));
+      }
+      make(svg, "text", { class: "tick", transform: `translate(11 ${(from + to) / 2}) rotate(-90)`, "text-anchor": "middle" }, panel.title);
+      make(svg, "line", { class: "axis", x1: left, x2: width - 10, y1: to, y2: to });
+      const body = make(svg, "g", { "clip-path": `url(#${holder.id}-clip)` });
+      for (const trace of panel.traces) make(body, "path", { class: `trace line ${trace.shade}`, d: path(trace.x, trace.y, across, up) });
+      from = to + 14;
+    }
+    for (const x of ticks(range[0], range[1], Math.max(3, width / 110))) {
+      make(svg, "line", { class: "axis", x1: across(x), x2: across(x), y1: bottom, y2: bottom + 4 });
+      make(svg, "text", { class: "tick", x: across(x), y: bottom + 17, "text-anchor": "middle" }, shown(x));
+    }
+    make(svg, "text", { class: "tick", x: (left + width) / 2, y: height - 4, "text-anchor": "middle" }, spec.x);
+    legend(svg, all, left, width);
+    zoomable(holder, svg, spec, { left, width, range, top, bottom });
+  }
+
+  function legend(svg, traces, left, width) {
+    let x = left;
+    let y = 14;
+    for (const trace of traces) {
+      const text = make(svg, "text", { class: "legend", x: x + 24, y }, trace.name);
+      const size = 24 + text.getComputedTextLength() + 16;
+      if (x > left && x + size > width) { x = left; y += 17; text.setAttribute("x", x + 24); text.setAttribute("y", y); }
+      make(svg, "path", { class: `trace line ${trace.shade}`, d: `M${x} ${y - 4}h18` });
+      x += size;
+    }
+  }
+
+  function zoomable(holder, svg, spec, { left, width, range, top, bottom }) {
+    const place = (event) => {
+      const box = svg.getBoundingClientRect();
+      return Math.min(Math.max((event.clientX - box.left) * width / box.width, left), width - 10);
+    };
+    const time = (x) => range[0] + (range[1] - range[0]) * (x - left) / (width - left - 10);
+    let start = null;
+    let mark = null;
+    svg.addEventListener("pointerdown", (event) => {
+      start = place(event);
+      mark = make(svg, "rect", { class: "selection", x: start, y: top, width: 0, height: bottom - top });
+    });
+    svg.addEventListener("pointermove", (event) => {
+      if (start === null) return;
+      mark.setAttribute("x", Math.min(start, place(event)));
+      mark.setAttribute("width", Math.abs(place(event) - start));
+    });
+    svg.addEventListener("pointerup", (event) => {
+      if (start === null) return;
+      const ends = [start, place(event)].sort((one, two) => one - two);
+      start = null;
+      mark.remove();
+      if (ends[1] - ends[0] < 6) return;
+      holder.range = ends.map(time);
+      plot(holder, spec);
+    });
+    svg.addEventListener("dblclick", () => { holder.range = null; plot(holder, spec); });
+  }
+
+  /* A curve without axes, as wide as a word or two. */
+  function small(holder, x, y) {
+    const svg = make(holder, "svg", { viewBox: "0 0 150 30", preserveAspectRatio: "none", "aria-hidden": "true" });
+    const [[first, last], [low, high]] = [extent(x), extent(y)];
+    make(svg, "path", { d: path(x, y, (value) => 150 * (value - first) / (last - first), (value) => 28 - 26 * (value - low) / (high - low)), "vector-effect": "non-scaling-stroke" });
+  }
+
+  /* Two bars: shares of the width before and after. */
+  function bars(holder, shares) {
+    const svg = make(holder, "svg", { viewBox: "0 0 100 22", preserveAspectRatio: "none", "aria-hidden": "true" });
+    shares.forEach((share, k) => make(svg, "rect", { class: k ? "after" : "before", x: 0, y: 2 + 10 * k, width: 100 * Math.max(share || 0, 0), height: 8 }));
+  }
+
+  return { plot, small, bars };
+})();
