@@ -15,7 +15,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.excitation.design.interior_point import Optimum
-from asbuilt.excitation.design.process_pool import Pool
+from asbuilt.excitation.design.process_pool import SearchPool
 
 Task = TypeVar("Task")
 
@@ -97,7 +97,7 @@ def search_all(
     search: Callable[[Task], Candidate],
     deadline: Deadline,
     *,
-    pool: Pool[Task, Candidate] | None = None,
+    pool: SearchPool[Task, Candidate] | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> list[Candidate]:
     """Return the candidates of all tasks, searched here and in a pool, best first.
