@@ -42,6 +42,8 @@ ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
 )
 """Settings of a worker: the processes share the cores, threads would share them once more."""
+_Done = tuple[list[tuple[Any, ...]], float]
+"""What tasks came to, one tuple each, and the seconds they took together."""
 ENDED = (ChildEnded, CancelledError)
 """What a task raises whose process died."""
 
@@ -56,11 +58,12 @@ class Executor(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome(Generic[Task, Result]):
-    """Hold a task with its result, or why it has none."""
+    """Hold a task with its result, or why it has none, and the error if it is one of ours."""
 
     task: Task
     result: Result | None = None
     problem: str | None = None
+    error: AsbuiltError | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,40 +110,30 @@ class Workers:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 batch = running.pop(future)
                 try:
-                    done = future.result()
+                    found, seconds = future.result()
                 except Exception as problem:
                     if len(batch) == 1 and not isinstance(problem, ENDED):
                         yield Outcome(batch[0], problem=_reason(problem))
                     else:
                         suspects += batch
                     continue
-                pace.add(len(batch), done.seconds)
-                for task, result, why in zip(batch, done.results, done.problems, strict=True):
-                    yield Outcome(task, result, why)
+                pace.add(len(batch), seconds)
+                yield from (Outcome(task, *each) for task, each in zip(batch, found, strict=True))
         yield from (self._alone(function, task) for task in suspects)
 
     def _alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
         """Return the outcome of a task that is the only one under way."""
         for _ in range(ATTEMPTS):
             try:
-                done = self.executor.submit(_run_batch, function, [task]).result()
+                (found,), _ = self.executor.submit(_run_batch, function, [task]).result()
             except ENDED:
                 continue
             except Exception as problem:
                 return Outcome(task, problem=_reason(problem))
-            return Outcome(task, done.results[0], done.problems[0])
+            return Outcome(task, *found)
         return Outcome(
             task, problem=f"its worker was killed {ATTEMPTS} times, such as for want of memory"
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Done:
-    """Hold results, or why there are none, of tasks that took `seconds` together."""
-
-    results: list[Any]
-    problems: list[str | None]
-    seconds: float
 
 
 @dataclass(slots=True)
@@ -167,15 +160,16 @@ class _Pace:
 
 
 def _run_batch(function: Callable[[Any], Any], tasks: list[Any]) -> _Done:
-    began, done = time.monotonic(), _Done([], [], 0.0)
-    for task in tasks:
-        try:
-            result, problem = function(task), None
-        except Exception as error:
-            result, problem = None, _reason(error)
-        done.results.append(result)
-        done.problems.append(problem)
-    return _Done(done.results, done.problems, time.monotonic() - began)
+    began = time.monotonic()
+    return [_run(function, task) for task in tasks], time.monotonic() - began
+
+
+def _run(function: Callable[[Any], Any], task: Any) -> tuple[Any, ...]:
+    """Return the result of a task; or None, why, and an error that can be raised elsewhere."""
+    try:
+        return (function(task),)
+    except Exception as problem:
+        return None, _reason(problem), problem if isinstance(problem, AsbuiltError) else None
 
 
 def _reason(problem: BaseException) -> str:
@@ -198,30 +192,18 @@ def results_in_order(
     if workers is None:
         return [function(task) for task in tasks]
     numbered = list(enumerate(tasks))
-    found: dict[int, _Finished] = {}
-    for outcome in workers.run(partial(_finished, function), numbered):
-        lost = AsbuiltError(f"a worker did not finish its part: {outcome.problem}")
-        found[outcome.task[0]] = outcome.result or _Finished(problem=lost)
-    ordered = [found[number] for number, _ in numbered]
-    for each in ordered:
-        if each.problem is not None:
-            raise each.problem
-    return [each.result for each in ordered]
+    found = {each.task[0]: each for each in workers.run(partial(_numbered, function), numbered)}
+    for number, _ in numbered:
+        problem = found[number].problem
+        if problem is not None:
+            raise found[number].error or AsbuiltError(
+                f"a worker did not finish its part: {problem}"
+            )
+    return [found[number].result for number, _ in numbered]  # type: ignore[misc]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Finished:
-    """Hold the result of a task, or its error, of which others would get the text alone."""
-
-    result: Any = None
-    problem: AsbuiltError | None = None
-
-
-def _finished(function: Callable[[Task], Any], task: tuple[int, Task]) -> _Finished:
-    try:
-        return _Finished(function(task[1]))
-    except AsbuiltError as problem:
-        return _Finished(problem=problem)
+def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Result:
+    return function(task[1])
 
 
 @contextmanager
