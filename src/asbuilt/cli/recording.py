@@ -181,6 +181,7 @@ def simulate(
         Path | None,
         typer.Option(
             "--out",
+            "-o",
             metavar="LOG",
             help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
             callback=writable_file,

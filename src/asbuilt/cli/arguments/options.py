@@ -122,7 +122,7 @@ FixedBase = Annotated[
 Out = Annotated[
     Path | None,
     typer.Option(
-        "--out", metavar="DIR", help="folder for the files to write", callback=writable_folder
+        "--out", "-o", metavar="DIR", help="folder for the files to write", callback=writable_folder
     ),
 ]
 Judges = Annotated[
