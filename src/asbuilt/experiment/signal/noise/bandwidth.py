@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +12,24 @@ from scipy.ndimage import uniform_filter1d
 from asbuilt.arrays import Array
 from asbuilt.experiment.signal.noise.spectrum import power_density
 
-VELOCITY_SHARE = 0.95
-"""Share of the velocity's power that lies below the motion's bandwidth."""
-WINDOW = 20.0
-"""Length of the averaged spectra's windows [s]; their resolution is its inverse."""
-NOISY = 0.01
-"""Share of the velocity's power from which white noise of the positions is allowed for."""
-ABOVE_NOISE = 4.0
-"""Multiple of the noise's spectrum that the smoothed spectrum of the motion exceeds."""
-SMOOTHED = 11
-"""Number of bins over which spectra are smoothed."""
+
+@dataclass(frozen=True, slots=True)
+class SpectrumRules:
+    """Hold how the bandwidth of a motion is read off its spectrum."""
+
+    velocity_share: float = 0.95
+    """Share of the velocity's power that lies below the motion's bandwidth."""
+    window: float = 20.0
+    """Length of the averaged spectra's windows [s]; their resolution is its inverse."""
+    noisy: float = 0.01
+    """Share of the velocity's power from which white noise of the positions is allowed for."""
+    above_noise: float = 4.0
+    """Multiple of the noise's spectrum that the smoothed spectrum of the motion exceeds."""
+    smoothed: int = 11
+    """Number of bins over which spectra are smoothed."""
+
+
+RULES = SpectrumRules()
 
 
 def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
@@ -31,7 +40,7 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
     slower than a hundredth of the fastest do not count. White noise of the positions is estimated
     from the upper half of the spectrum; bins beyond the motion that it dominates do not count.
     """
-    window = min(round(WINDOW * rate), max(q.shape[0] for q in segments) - 1)
+    window = min(round(RULES.window * rate), max(q.shape[0] for q in segments) - 1)
     total = np.zeros((window // 2 + 1, segments[0].shape[1]))
     frequency = np.fft.rfftfreq(window, 1.0 / rate)
     for q in segments:
@@ -43,10 +52,10 @@ def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
     power = total.sum(axis=0)
     moving = power > 1e-4 * power.max()
     if not moving.any():
-        return 1.0 / WINDOW
+        return 1.0 / RULES.window
     share = np.cumsum(total[:, moving], axis=0) / power[moving]
-    reached = (share >= VELOCITY_SHARE).argmax(axis=0)
-    return float(max(frequency[reached.max()], 1.0 / WINDOW))
+    reached = (share >= RULES.velocity_share).argmax(axis=0)
+    return float(max(frequency[reached.max()], 1.0 / RULES.window))
 
 
 def _noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
@@ -56,7 +65,9 @@ def _noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
     noise = shape * (
         total[upper].sum(axis=0) / max(float(shape[upper].sum()), np.finfo(np.float64).tiny)
     )
-    noisy = noise.sum(axis=0) > NOISY * total.sum(axis=0)
-    smooth = uniform_filter1d(total, SMOOTHED, axis=0, mode="nearest")
-    last = np.where(smooth > ABOVE_NOISE * noise, np.arange(len(cycles))[:, None], 0).max(axis=0)
+    noisy = noise.sum(axis=0) > RULES.noisy * total.sum(axis=0)
+    smooth = uniform_filter1d(total, RULES.smoothed, axis=0, mode="nearest")
+    last = np.where(smooth > RULES.above_noise * noise, np.arange(len(cycles))[:, None], 0).max(
+        axis=0
+    )
     return np.asarray(noisy & (np.arange(len(cycles))[:, None] > last))
