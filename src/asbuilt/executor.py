@@ -23,9 +23,6 @@ from asbuilt.untrusted import reason, shown_path
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-
-PER_WORKER = 3
-"""Submissions under way for each worker, so that none is idle while results are taken."""
 TOGETHER = 0.25
 """Time [s] of tasks that are submitted together: a submission to a cluster takes milliseconds."""
 LONGEST_TOGETHER, LATE_TOGETHER = 1.0, 0.04
@@ -100,7 +97,8 @@ class Workers:
         running: dict[Future[_Done], list[Task]] = {}
         suspects: list[Task] = []
         while True:
-            while len(running) < self.count * PER_WORKER:
+            # Submissions under way for each worker, so that none is idle while results are taken.
+            while len(running) < self.count * 3:
                 batch = list(islice(waiting, pace.batch))
                 if not batch:
                     break

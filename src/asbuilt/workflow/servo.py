@@ -41,8 +41,6 @@ from asbuilt.workflow.prepare import Prepared, settled_rule
 EXCEPTION = 1.0 / 3.0
 """Share of the time up to which motion without explanation is an exception, such as contact; more
 of it is how the robot moves: own choice."""
-UNDETERMINED = 0.5
-"""Relative standard error of a stiffness beyond which only ratios to it are determined."""
 
 
 def settle_servo(
@@ -268,7 +266,8 @@ def servo_findings(
     names = np.array(model.joint_names)
     unknown = np.array([each != "given" for each in errors.scale])
     relative = np.array(errors.kp) / np.array(found.servo.kp)
-    lost = unknown & ~(relative < UNDETERMINED)
+    # Relative standard error of a stiffness beyond which only ratios to it are determined.
+    lost = unknown & ~(relative < 0.5)
     if np.any(lost):
         findings.append(
             Finding(

@@ -19,9 +19,6 @@ from asbuilt.excitation.design.process_pool import SearchPool
 
 Task = TypeVar("Task")
 
-POLL = 0.2
-"""Interval at which progress is reported and the deadline checked [s]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -126,7 +123,8 @@ def search_all(
                     pending[future] = task
                 if not pending:
                     break
-                for future in wait(pending, timeout=POLL, return_when=FIRST_COMPLETED).done:
+                # Interval at which progress is reported and the deadline checked [s].
+                for future in wait(pending, timeout=0.2, return_when=FIRST_COMPLETED).done:
                     task = pending.pop(future)
                     if future is not own and future.exception() is not None:
                         waiting.appendleft(task)

@@ -13,9 +13,6 @@ from asbuilt.executor import Workers, open_workers
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-MOST = 7
-"""Most processes in addition to this one; each needs about 250 MB."""
-
 
 @contextmanager
 def open_pool(
@@ -30,7 +27,8 @@ def open_pool(
     MissingExtraError
         If Dask is needed and not installed.
     """
-    with open_workers(min(size, MOST), scheduler) as workers:
+    # Most processes in addition to this one; each needs about 250 MB.
+    with open_workers(min(size, 7), scheduler) as workers:
         count = 0 if scheduler is None and size < 1 else workers.count
         with closing(SearchPool(work, workers, count)) as pool:
             yield pool

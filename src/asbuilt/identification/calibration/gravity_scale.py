@@ -10,13 +10,6 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.identification.information.random_motion import random_positions
 from asbuilt.identification.result.result import IdentificationResult
 
-CAD_TOLERANCE = 0.2
-"""Error of CAD's gravity torques that is usual: its masses are accurate to a fifth at best."""
-LEAST_SHARE = 0.05
-"""Gravity torque, relative to the largest, below which a joint says nothing of its scale."""
-CLEAR = 0.8
-"""Correlation with CAD's gravity torque below which something other than the scale differs."""
-
 
 def gravity_scales(result: IdentificationResult) -> Array:
     """Return the scale of each joint's gravity torque in that of CAD, (n,), NaN if it has none.
@@ -41,7 +34,9 @@ def gravity_scales(result: IdentificationResult) -> Array:
     size = np.sqrt(np.mean(cad**2, axis=0))
     own = np.sqrt(np.mean(built**2, axis=0))
     product = np.mean(cad * built, axis=0)
-    clear = (size > LEAST_SHARE * size.max(initial=0.0)) & (product > CLEAR * size * own)
+    # Gravity torque, relative to the largest, below which a joint says nothing of its scale.
+    # 0.8: correlation with CAD's gravity torque below which something other than the scale differs.
+    clear = (size > 0.05 * size.max(initial=0.0)) & (product > 0.8 * size * own)
     scales[clear] = product[clear] / size[clear] ** 2
     return scales
 
@@ -57,4 +52,5 @@ def doubted_gains(scales: Array) -> Array:
     `|s - 1|` of the gravity torque beyond the tolerance of CAD.
     """
     away = np.abs(np.nan_to_num(scales, nan=1.0) - 1.0)
-    return np.maximum(away - CAD_TOLERANCE, 0.0)
+    # Error of CAD's gravity torques that is usual: its masses are accurate to a fifth at best.
+    return np.maximum(away - 0.2, 0.0)

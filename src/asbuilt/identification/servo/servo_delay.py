@@ -14,9 +14,9 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.expected_scores import DOUBT
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
+from asbuilt.identification.servo.block_fits import block_weights, clustered
 from asbuilt.identification.servo.servo_replay import Replay
 from asbuilt.identification.servo.servo_rows import ServoRows
-from asbuilt.identification.servo.servo_scale import block_weights, clustered
 
 
 @dataclass(frozen=True, slots=True)

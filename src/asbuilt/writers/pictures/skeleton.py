@@ -89,7 +89,7 @@ def skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image
     camera = Camera.around(view, DRAWING.oversampling * width, DRAWING.oversampling * height)
     coarse = len(view.t) > 1
     slices, rings, segments = (16, 4, 4) if coarse else (36, 8, 10)
-    solids = [*view.solids, *_stand(view)]
+    solids = [*view.solids, *view.stand]
     meshes = [round_mesh(solid, slices, rings, segments) for solid in solids]
     colours = [
         STAND if k >= len(view.solids) else ROD if solid.kind == "rod" else HOUSING
@@ -174,16 +174,6 @@ def _floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
             draw.line(tuple(map(tuple, flat.tolist())), fill=tuple(GRID.tolist()), width=2)
 
 
-def _stand(view: MotionView) -> list[Solid]:
-    """Return base plate and column, as the other pictures have them."""
-    thickest = max(solid.radius for solid in view.solids)
-    foot = view.floor * view.up
-    plate = Solid(ROOT, "housing", foot, foot + 0.25 * thickest * view.up, 2 * thickest)
-    if view.floor >= 0.0:
-        return [plate]
-    return [plate, Solid(ROOT, "housing", foot, np.zeros(3), 1.15 * thickest)]
-
-
 def _placed(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
     if solid.link == ROOT:
         return points
@@ -194,7 +184,7 @@ def _placed(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
 def _balls(view: MotionView) -> tuple[Array, NDArray[np.float64]]:
     """Return centres (N, 3) and radii (N,) of balls that hold everything drawn but the floor."""
     points, radii = [view.path], [np.zeros(len(view.path))]
-    for solid in (*view.solids, *_stand(view)):
+    for solid in (*view.solids, *view.stand):
         for end in (solid.start, solid.stop):
             moved = (
                 end[None]

@@ -140,7 +140,6 @@ class Viewer:
         scene.set_up_direction(tuple(view.up))
         scene.configure_default_lights(cast_shadow=True)
         seat = rotation_onto(view.up)
-        thickest = max(solid.radius for solid in view.solids)
         scene.add_grid(
             "/floor",
             width=8 * view.radius,
@@ -155,23 +154,8 @@ class Viewer:
             wxyz=_wxyz(seat),
             position=tuple((view.floor - 2e-3) * view.up),
         )
-        self._mesh(
-            "/stand",
-            Solid(
-                ROOT,
-                "housing",
-                view.floor * view.up,
-                (view.floor + 0.25 * thickest) * view.up,
-                2 * thickest,
-            ),
-            STAND,
-        )
-        if view.floor < 0.0:
-            self._mesh(
-                "/column",
-                Solid(ROOT, "housing", view.floor * view.up, np.zeros(3), 1.15 * thickest),
-                STAND,
-            )
+        for place, solid in zip(("/stand", "/column"), view.stand, strict=False):
+            self._mesh(place, solid, STAND)
         for k, link in enumerate(model.links):
             name = f"/links/{k + 1} {link.name.replace('/', '-')}"
             self._links.append(scene.add_frame(name, show_axes=False))

@@ -26,10 +26,6 @@ from asbuilt.untrusted import check_regular, reason
 
 MOST_FILES = 500
 """Files that a process reads before another takes its place, lest its memory grow."""
-LARGEST_KEPT = 32e6
-"""Size of a file [bytes] beyond which its process is not kept: memory that it took may stay, 240 MB
-after an hour of seven joints at 100 Hz, which has 25 MB as Parquet.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +131,9 @@ def _call(
             child.end()
             raise
         answer = json.loads(content)
-        if "error" in answer or size > LARGEST_KEPT or child.calls >= MOST_FILES:
+        # Size of a file [bytes] beyond which its process is not kept: memory that it took may stay,
+        # 240 MB after an hour of seven joints at 100 Hz, which has 25 MB as Parquet.
+        if "error" in answer or size > 32e6 or child.calls >= MOST_FILES:
             child.end()
         else:
             _idle.append(child)

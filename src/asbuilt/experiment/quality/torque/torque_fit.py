@@ -17,8 +17,6 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.torque.column_order import decisive_change, swaps
 
-DECISIVE = 0.02
-"""Predicted torque, relative to the largest, below which a joint decides nothing."""
 BREAKAWAY = 0.02
 """Width of the smoothed sign of velocity [rad/s or m/s]."""
 
@@ -102,7 +100,8 @@ class TorqueFit:
     def decides(self) -> Mask:
         """Which joints have enough predicted torque to decide anything, shape (n,)."""
         predicted = self.predicted
-        enough: Mask = predicted > DECISIVE * np.max(predicted)
+        # Predicted torque, relative to the largest, below which a joint decides nothing.
+        enough: Mask = predicted > 0.02 * np.max(predicted)
         return enough
 
     @property

@@ -19,8 +19,6 @@ LOWEST_CUTOFF = 7.0
 Friction changes sign within a tenth of a second. Tuned on recordings of UR10e, LWR4+, Med 7,
 AIRBOT, Rokae and TX40; none was kept apart to test it.
 """
-HIGHEST_CUTOFF = 0.2
-"""Highest default cutoff, as a share of the sampling rate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +67,8 @@ def choose_band(
         for segment in segments
     ]
     bandwidth = motion_bandwidth(moved, rate)
-    wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), HIGHEST_CUTOFF * rate)
+    # Highest default cutoff, as a share of the sampling rate.
+    wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), 0.2 * rate)
     logged = [(segment.qd if of_velocity else segment.q, segment.tau) for segment in segments]
     noise = noise_limit(
         [(x, tau) for x, tau in logged if x is not None], rate, of_velocity=of_velocity

@@ -11,9 +11,6 @@ import numpy as np
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.identification.ensembles.ensemble import QUANTILES, Ensemble
 
-CONSTANT = 1e-9
-"""Spread relative to the value below which a column is constant (rounding of the fits)."""
-
 
 def parquet_table(ensemble: Ensemble) -> bytes:
     """Return the table as Parquet: a row for every robot, units in the metadata of the file.
@@ -60,7 +57,8 @@ def correlation(ensemble: Ensemble) -> dict[str, Any]:
     """Return the correlation matrix of the columns that vary, with their names."""
     table = ensemble.table
     spread, size = table.std(axis=0), np.abs(table).mean(axis=0)
-    varies = np.flatnonzero((spread > CONSTANT * size) & (spread > np.finfo(np.float64).tiny))
+    # Spread relative to the value below which a column is constant (rounding of the fits).
+    varies = np.flatnonzero((spread > 1e-9 * size) & (spread > np.finfo(np.float64).tiny))
     names = [ensemble.names[k] for k in varies]
     if len(ensemble) < 2 or not names:
         return {"names": [], "matrix": []}

@@ -16,12 +16,6 @@ from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 CONTROL_RATE = 1000.0
 """Rate at which the robot takes positions and checks them for jumps [Hz]."""
 
-ASSUMED_JERK = 5000.0
-"""Jerk limit where the description gives none [rad/s^3].
-
-The least of the Panda's is 3750, of the FR3's 5000.
-"""
-
 
 class FrankaFormat(ProgramFormat):
     """A control callback of joint positions at 1 kHz, with a table of the motion."""
@@ -113,7 +107,9 @@ class FrankaFormat(ProgramFormat):
 
 def _check_smoothness(request: ProgramRequest) -> None:
     limit = MotionBounds.of(request.model).jerk
-    limit = np.where(np.isfinite(limit), limit, ASSUMED_JERK)
+    # Jerk limit where the description gives none [rad/s^3]. The least of the Panda's is 3750, of
+    # the FR3's 5000.
+    limit = np.where(np.isfinite(limit), limit, 5000.0)
     t = request.motion.sample_times(CONTROL_RATE)
     acceleration = np.pad(request.motion.derivative(t, 2), ((1, 1), (0, 0)))
     jerk = np.abs(np.diff(acceleration, axis=0)) * CONTROL_RATE

@@ -11,9 +11,6 @@ from asbuilt.writers.programs.rendering import numbers, render
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import hermite_knots
 
-TOLERANCE = 1e-4
-"""How far the cubics between the points may leave the motion [rad]."""
-
 LOOK_AHEAD, GAIN = 0.05, 600
 """servoj's lookahead_time [s] (0.03 to 0.2) and gain (100 to 2000)."""
 
@@ -83,7 +80,8 @@ class UrScriptFormat(ProgramFormat):
             ),
         )
         head = commented(preamble(request, self.title, use), "#")
-        knots = hermite_knots(request.motion, TOLERANCE)
+        # How far the cubics between the points may leave the motion [rad].
+        knots = hermite_knots(request.motion, 1e-4)
         q, v = request.motion.derivative(knots[1:]), request.motion.derivative(knots[1:], 1)
         values = {
             "preamble": head,
