@@ -26,7 +26,7 @@ from asbuilt.identification.errors.between_recordings import recording_variances
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
-from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
+from asbuilt.identification.servo.servo_delay import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import (
     UNEXPLAINED,
     ServoEstimate,

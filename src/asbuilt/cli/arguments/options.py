@@ -133,14 +133,6 @@ Judges = Annotated[
         help="a recording to validate on; repeat for more",
     ),
 ]
-Holdout = Annotated[
-    str | None,
-    typer.Option(
-        "--holdout",
-        metavar="RULE",
-        help="hold out for validation: blocks:5s:3 (every third 5 s block) or last:0.3",
-    ),
-]
 Unchecked = Annotated[
     bool, typer.Option("--unchecked", help="use the recordings whatever their checks find")
 ]

@@ -26,7 +26,7 @@ from asbuilt.identification.servo.goal_limit import (
     find_goal_limit,
     limited,
 )
-from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
+from asbuilt.identification.servo.servo_delay import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
 from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
 from asbuilt.identification.servo.settling import Settling

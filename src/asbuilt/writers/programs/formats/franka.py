@@ -8,9 +8,7 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
-from asbuilt.writers.programs.log_sheet import sheet_text
-from asbuilt.writers.programs.preamble import commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render
+from asbuilt.writers.programs.program_text import commented, numbers, preamble, render, sheet_text
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 CONTROL_RATE = 1000.0

@@ -11,10 +11,16 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.log_sheet import sheet_text
 from asbuilt.writers.programs.naming import class_name
-from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render, rounded_down
+from asbuilt.writers.programs.program_text import (
+    DRY_RUN_PART,
+    commented,
+    numbers,
+    preamble,
+    render,
+    rounded_down,
+    sheet_text,
+)
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import Segment, point_to_point_segments, spline_times
 

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from asbuilt.errors import MotionError
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.writers.programs.naming import identifier, plain_text
-from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render
+from asbuilt.writers.programs.program_text import (
+    DRY_RUN_PART,
+    GAINS_TO_FILL_IN,
+    commented,
+    numbers,
+    preamble,
+    render,
+    sheet_text,
+)
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import hermite_knots
 
