@@ -37,6 +37,8 @@ class StepRules:
 
 
 RULES = StepRules()
+# Kernels take numbers, no objects.
+NEAR, LARGEST_MULTIPLE = RULES.near, RULES.largest_multiple
 FEW = 1_000
 """Differences that this share is taken from; its standard error is 0.015."""
 
@@ -98,14 +100,12 @@ def _refined(size: Array, step: float) -> float:
 
     Without branches the sums run in vector registers.
     """
-    for most in (2.5, 8.5, RULES.largest_multiple):
+    for most in (2.5, 8.5, LARGEST_MULTIPLE):
         product = square = 0.0
         for k in range(size.size):
             ratio = size[k] / step
             multiple = np.rint(ratio)
-            near = (
-                (abs(ratio - multiple) < 2.0 * RULES.near) & (multiple >= 1.0) & (multiple < most)
-            )
+            near = (abs(ratio - multiple) < 2.0 * NEAR) & (multiple >= 1.0) & (multiple < most)
             weight = multiple if near else 0.0
             product += size[k] * weight
             square += weight * weight
@@ -121,12 +121,12 @@ def _share(size: Array, step: float) -> float:
     for k in range(size.size):
         ratio = size[k] / step
         multiple = np.rint(ratio)
-        near = (abs(ratio - multiple) < RULES.near) & (multiple >= 1.0)
+        near = (abs(ratio - multiple) < NEAR) & (multiple >= 1.0)
         count += 1.0 if near else 0.0
     return count / size.size
 
 
 def _constant_speed(multiples: Array, n_all: int) -> bool:
     """Return whether the changes are of one size, as at a constant speed, and not exactly so."""
-    alike = np.abs(multiples - 1.0) < RULES.near
+    alike = np.abs(multiples - 1.0) < NEAR
     return bool(alike.sum() > RULES.one_multiple * n_all and np.std(multiples[alike]) > RULES.exact)
