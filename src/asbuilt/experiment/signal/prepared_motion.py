@@ -24,6 +24,10 @@ from asbuilt.experiment.signal.signal_chain import Delay, SignalChain
 from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
 from asbuilt.findings import Cure
 
+UNRESOLVED = 0.25
+"""Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
+quarter.
+"""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
 
@@ -172,9 +176,7 @@ def grid_of(
 
     Single torques that stand out have the mean of their neighbours; joints without torque have 0.
     """
-    # Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
-    # quarter.
-    resolved = 0.0 if chain.cutoff is None else 0.25 / chain.cutoff
+    resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
     recording = recording.with_torque_of(recording.has_torque if has_torque is None else has_torque)
     return uniform_grid(without_spikes(recording), rate or chain.rate, chain.max_gap, resolved)
 

@@ -13,7 +13,8 @@ from PIL import ImageDraw
 from asbuilt.arrays import Array, Image
 from asbuilt.description.appearance import Solid
 from asbuilt.description.model import ROOT
-from asbuilt.writers.pictures.motion_view import MotionView, round_mesh
+from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.round_mesh import round_mesh
 
 ROD, HOUSING, STAND, SHADOW, GRID, PATH = (
     np.array(colour)
