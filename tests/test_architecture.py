@@ -37,6 +37,7 @@ STAGES = (
 )
 LEAVES = (
     "arrays",
+    "children",
     "codec",
     "errors",
     "executor",

@@ -103,8 +103,8 @@ def test_a_task_whose_process_dies_is_an_error() -> None:
 
 
 def test_modules_in_the_current_folder_are_not_run(tmp_path: Path) -> None:
-    """Workers are started by `-m`, which searches the current folder first unless it is told."""
-    for name in ("loky", "json", "numpy", "signal"):
+    """Python searches the current folder first unless it is told not to."""
+    for name in ("cloudpickle", "json", "numpy", "signal"):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
     code = (
         "from asbuilt.executor import open_workers\n"

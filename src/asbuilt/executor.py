@@ -5,11 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import re
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,18 +16,13 @@ from importlib import import_module
 from itertools import islice
 from typing import Any, Generic, Protocol, TypeVar
 
+from asbuilt.children import ChildEnded, ChildPool
 from asbuilt.errors import AsbuiltError, MissingExtraError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.isolation import SAFE_PATH
 from asbuilt.untrusted import reason, shown_path
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-
-ORPHAN_CHECK = 0.5
-"""Seconds between looks at the parent process."""
-PER_WORKER = 3
-"""Submissions under way for each worker, so that none is idle while results are taken."""
 TOGETHER = 0.25
 """Time [s] of tasks that are submitted together: a submission to a cluster takes milliseconds."""
 LONGEST_TOGETHER, LATE_TOGETHER = 1.0, 0.04
@@ -36,21 +30,19 @@ LONGEST_TOGETHER, LATE_TOGETHER = 1.0, 0.04
 some workers wait that long for others."""
 MOST_TOGETHER = 100
 ATTEMPTS = 2
-"""Times that a task is run alone after its process died among others."""
+"""Times that a task is run alone after its process died."""
 CONNECTING, GIVEN_UP = 5.0, 8.0
 """Seconds until a scheduler that does not answer is given up: by Dask, and by us if it is not."""
 ADDRESS = re.compile(r"(?:(?:tcp|tls|ucx|wss?)://)?[\w.:%\[\]-]{1,250}:\d{1,5}")
 """Addresses that Dask connects to; for others it starts a cluster here, or asks the network."""
-ONE_THREAD = {
-    **SAFE_PATH,
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "POLARS_MAX_THREADS": "1",
-    "LOKY_MAX_MEMORY_LEAK_SIZE": "1e12",
-}
-"""Settings of a worker: the processes share the cores, threads would share them once more. A worker
-that has grown by 300 MB is no leak, and is not replaced."""
+ONE_THREAD = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
+)
+"""Settings of a worker: the processes share the cores, threads would share them once more."""
+_Done = tuple[list[tuple[Any, ...]], float]
+"""What tasks came to, one tuple each, and the seconds they took together."""
+ENDED = (ChildEnded, CancelledError)
+"""What a task raises whose process died."""
 
 
 class Executor(Protocol):
@@ -63,16 +55,17 @@ class Executor(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome(Generic[Task, Result]):
-    """Hold a task with its result, or why it has none."""
+    """Hold a task with its result, or why it has none, and the error if it is one of ours."""
 
     task: Task
     result: Result | None = None
     problem: str | None = None
+    error: AsbuiltError | None = None
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Workers:
-    """Hold an executor that can be replaced once its processes are lost.
+    """Hold an executor and how many tasks it runs at a time.
 
     Parameters
     ----------
@@ -80,15 +73,15 @@ class Workers:
         Number of workers.
     executor
         Runs the tasks.
-    renew
-        Returns an executor in place of one that is broken; None if the executor repairs itself.
+    close
+        Gives up what is under way; nothing can be submitted after it.
     dashboard
         Address of the page that shows the work, if there is one.
     """
 
     count: int
     executor: Executor
-    renew: Callable[[], Executor] | None = None
+    close: Callable[[], None]
     dashboard: str | None = None
 
     def run(
@@ -96,84 +89,49 @@ class Workers:
     ) -> Iterator[Outcome[Task, Result]]:
         """Yield the outcome of each task as it is done; few tasks are submitted ahead.
 
-        Short tasks are submitted several at a time. Where a process dies, all tasks under way are
-        repeated one at a time, so that only the one that kills its process fails.
+        Short tasks are submitted several at a time. Those whose process died are repeated in the
+        end, one at a time, so that only the one that kills its process, whatever memory the others
+        took, fails.
         """
         waiting, pace = iter(tasks), _Pace(self.count)
         running: dict[Future[_Done], list[Task]] = {}
+        suspects: list[Task] = []
         while True:
-            suspects: list[Task] = []
-            while len(running) < self.count * PER_WORKER and not suspects:
+            # Submissions under way for each worker, so that none is idle while results are taken.
+            while len(running) < self.count * 3:
                 batch = list(islice(waiting, pace.batch))
                 if not batch:
                     break
-                suspects += self._started(function, batch, running)
-            if not running and not suspects:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done if running else ():
-                yield from self._outcomes(future, running.pop(future), pace, suspects)
-            if suspects:
-                for future in wait(running).done:
-                    yield from self._outcomes(future, running.pop(future), pace, suspects)
-                self._renew()
-                yield from (self._alone(function, task) for task in suspects)
-
-    def _started(
-        self,
-        function: Callable[[Task], Result],
-        batch: list[Task],
-        running: dict[Future[_Done], list[Task]],
-    ) -> list[Task]:
-        """Submit tasks; return them if the executor is broken."""
-        try:
-            running[self.executor.submit(_run_batch, function, batch)] = batch
-        except BrokenExecutor:
-            return batch
-        return []
-
-    def _outcomes(
-        self, future: Future[_Done], batch: list[Task], pace: _Pace, suspects: list[Task]
-    ) -> Iterator[Outcome[Task, Result]]:
-        """Yield the outcomes of tasks; those whose process died are added to `suspects`."""
-        try:
-            done = future.result()
-        except Exception as problem:
-            if len(batch) > 1 or isinstance(problem, BrokenExecutor | CancelledError):
-                suspects += batch
-            else:
-                yield Outcome(batch[0], problem=_reason(problem))
-            return
-        pace.add(len(batch), done.seconds)
-        for task, result, why in zip(batch, done.results, done.problems, strict=True):
-            yield Outcome(task, result, why)
+                running[self.executor.submit(_run_batch, function, batch)] = batch
+            if not running:
+                break
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                batch = running.pop(future)
+                try:
+                    found, seconds = future.result()
+                except Exception as problem:
+                    if len(batch) == 1 and not isinstance(problem, ENDED):
+                        yield Outcome(batch[0], problem=_reason(problem))
+                    else:
+                        suspects += batch
+                    continue
+                pace.add(len(batch), seconds)
+                yield from (Outcome(task, *each) for task, each in zip(batch, found, strict=True))
+        yield from (self._alone(function, task) for task in suspects)
 
     def _alone(self, function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
         """Return the outcome of a task that is the only one under way."""
         for _ in range(ATTEMPTS):
             try:
-                done = self.executor.submit(_run_batch, function, [task]).result()
-            except (BrokenExecutor, CancelledError):
-                self._renew()
+                (found,), _ = self.executor.submit(_run_batch, function, [task]).result()
+            except ENDED:
+                continue
             except Exception as problem:
                 return Outcome(task, problem=_reason(problem))
-            else:
-                return Outcome(task, done.results[0], done.problems[0])
+            return Outcome(task, *found)
         return Outcome(
             task, problem=f"its worker was killed {ATTEMPTS} times, such as for want of memory"
         )
-
-    def _renew(self) -> None:
-        if self.renew is not None:
-            self.executor = self.renew()
-
-
-@dataclass(frozen=True, slots=True)
-class _Done:
-    """Hold results, or why there are none, of tasks that took `seconds` together."""
-
-    results: list[Any]
-    problems: list[str | None]
-    seconds: float
 
 
 @dataclass(slots=True)
@@ -200,15 +158,16 @@ class _Pace:
 
 
 def _run_batch(function: Callable[[Any], Any], tasks: list[Any]) -> _Done:
-    began, done = time.monotonic(), _Done([], [], 0.0)
-    for task in tasks:
-        try:
-            result, problem = function(task), None
-        except Exception as error:
-            result, problem = None, _reason(error)
-        done.results.append(result)
-        done.problems.append(problem)
-    return _Done(done.results, done.problems, time.monotonic() - began)
+    began = time.monotonic()
+    return [_run(function, task) for task in tasks], time.monotonic() - began
+
+
+def _run(function: Callable[[Any], Any], task: Any) -> tuple[Any, ...]:
+    """Return the result of a task; or None, why, and an error that can be raised elsewhere."""
+    try:
+        return (function(task),)
+    except Exception as problem:
+        return None, _reason(problem), problem if isinstance(problem, AsbuiltError) else None
 
 
 def _reason(problem: BaseException) -> str:
@@ -231,30 +190,18 @@ def results_in_order(
     if workers is None:
         return [function(task) for task in tasks]
     numbered = list(enumerate(tasks))
-    found: dict[int, _Finished] = {}
-    for outcome in workers.run(partial(_finished, function), numbered):
-        lost = AsbuiltError(f"a worker did not finish its part: {outcome.problem}")
-        found[outcome.task[0]] = outcome.result or _Finished(problem=lost)
-    ordered = [found[number] for number, _ in numbered]
-    for each in ordered:
-        if each.problem is not None:
-            raise each.problem
-    return [each.result for each in ordered]
+    found = {each.task[0]: each for each in workers.run(partial(_numbered, function), numbered)}
+    for number, _ in numbered:
+        problem = found[number].problem
+        if problem is not None:
+            raise found[number].error or AsbuiltError(
+                f"a worker did not finish its part: {problem}"
+            )
+    return [found[number].result for number, _ in numbered]  # type: ignore[misc]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Finished:
-    """Hold the result of a task, or its error, of which others would get the text alone."""
-
-    result: Any = None
-    problem: AsbuiltError | None = None
-
-
-def _finished(function: Callable[[Task], Any], task: tuple[int, Task]) -> _Finished:
-    try:
-        return _Finished(function(task[1]))
-    except AsbuiltError as problem:
-        return _Finished(problem=problem)
+def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Result:
+    return function(task[1])
 
 
 @contextmanager
@@ -283,22 +230,11 @@ def open_workers(workers: int | None = None, scheduler: str | None = None) -> It
     count = len(os.sched_getaffinity(0)) if workers is None else workers
     if count < 0:
         raise UsageError(f"the number of workers must be 0 or more, got {count}")
-    if count == 0:
-        yield Workers(1, _Here())
-        return
-    pools: list[Any] = []
-
-    def renew() -> Executor:
-        for pool in pools:
-            pool.shutdown(wait=True, kill_workers=True)
-        pools[:] = [_pool(count)]
-        return pools[0]  # type: ignore[no-any-return]
-
+    pool = ChildPool(count, ONE_THREAD) if count else _Here()
     try:
-        yield Workers(count, renew(), renew)
+        yield Workers(max(count, 1), pool, pool.close)
     finally:
-        for pool in pools:
-            pool.shutdown(wait=True, kill_workers=True)
+        pool.close()
 
 
 class _Here:
@@ -312,19 +248,8 @@ class _Here:
             future.set_exception(problem)
         return future
 
-
-def _pool(count: int) -> Any:
-    process_executor = import_module("loky.process_executor")
-    with interrupts_ignored():
-        pool = process_executor.ProcessPoolExecutor(
-            count,
-            timeout=None,
-            initializer=end_with_parent,
-            initargs=(os.getpid(),),
-            env=ONE_THREAD,
-        )
-        pool.submit(os.getpid).result()
-    return pool
+    def close(self) -> None:
+        """Do nothing: what was submitted is done."""
 
 
 @contextmanager
@@ -343,7 +268,7 @@ def _cluster(address: str) -> Iterator[Workers]:
                 cure=Cure(f"start some with `dask worker {address}`"),
             )
         executor = client.get_executor(pure=False)
-        yield Workers(threads, executor, dashboard=client.dashboard_link)
+        yield Workers(threads, executor, lambda: None, client.dashboard_link)
     finally:
         client.close()
 
@@ -376,37 +301,3 @@ def _connected(distributed: Any, address: str) -> tuple[Any, int]:
     finally:
         log.level = before
     raise UsageError(f"no Dask scheduler answers at {address}: {why}", cure=cure)
-
-
-def end_with_parent(parent: int) -> None:
-    """Have this process end soon after its parent."""
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: int) -> None:
-    """End this process soon after its parent, which may be killed without a chance to say so."""
-    while os.getppid() == parent:
-        time.sleep(ORPHAN_CHECK)
-    os._exit(1)
-
-
-@contextmanager
-def interrupts_ignored() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which this process handles, and the current folder.
-
-    A pool starts its workers with an environment of their own, and its resource tracker with this.
-    """
-    before = {name: os.environ.get(name) for name in SAFE_PATH}
-    os.environ.update(SAFE_PATH)
-    handles = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if handles else None
-    try:
-        yield
-    finally:
-        if handles:
-            signal.signal(signal.SIGINT, handler)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

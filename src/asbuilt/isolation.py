@@ -13,8 +13,6 @@ from pathlib import Path
 
 KEPT = ("DYLD_LIBRARY_PATH", "LD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP", "TMPDIR")
 """Variables of the environment that a child needs to load libraries and to keep temporary files."""
-SAFE_PATH = {"PYTHONSAFEPATH": "1"}
-"""Environment of children that other packages start: the current folder is not searched."""
 
 
 def isolated_command(program: str) -> list[str]:
@@ -24,6 +22,11 @@ def isolated_command(program: str) -> list[str]:
     """
     begin = f"import sys; sys.path[:] = {_modules()!r}; "
     return [sys.executable, "-I", "-S", "-c", begin + program]
+
+
+def trusted_command(program: str) -> list[str]:
+    """Return the command that runs a Python program with all modules of this one."""
+    return [sys.executable, "-I", "-c", f"import sys; sys.path[:] = {sys.path!r}; {program}"]
 
 
 def isolated_environment(more: Mapping[str, str]) -> dict[str, str]:

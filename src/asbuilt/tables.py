@@ -23,15 +23,6 @@ WIDTH = 80
 MISSING = "-"
 """Text of a cell without a number."""
 
-SHORT_HEADER = 8
-"""Characters up to which a header in HTML stays on one line."""
-
-NARROWEST = 12
-"""Characters below which a column is not narrowed to make a short text fit."""
-
-FIXED_DIGITS = 7
-"""Decimals up to which a number is written out before it takes an exponent."""
-
 SIGNIFICANT_SIGMAS = 3.0
 """Standard errors from which a difference is significant."""
 
@@ -66,7 +57,8 @@ def rounded(value: float, error: float | None) -> tuple[str, str]:
     if error is None or not math.isfinite(error) or error <= 0:
         return f"{value + 0.0:.6g}", "0" if error == 0 else MISSING
     decimals = 1 - int(f"{error:.1e}".split("e")[1])
-    if decimals > FIXED_DIGITS:
+    # Decimals up to which a number is written out before it takes an exponent.
+    if decimals > 7:
         lead = max(abs(value), error)
         exponent = int(f"{lead:.{max(0, decimals + math.floor(math.log10(lead)))}e}".split("e")[1])
         kept = decimals + exponent
@@ -455,7 +447,8 @@ def _fitted(widths: Sequence[int], columns: Sequence[Column]) -> list[int]:
     places = [k for k, column in enumerate(columns) if column.align == "left"]
     while sum(fitted) + 2 * (len(fitted) - 1) > WIDTH and places:
         widest = max(places, key=lambda k: fitted[k])
-        if fitted[widest] <= max(NARROWEST, len(columns[widest].header)):
+        # Characters below which a column is not narrowed to make a short text fit.
+        if fitted[widest] <= max(12, len(columns[widest].header)):
             break
         fitted[widest] -= 1
     return fitted
@@ -470,9 +463,8 @@ def _line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[Column]
 
 def _breakable(text: str) -> str:
     """Return the text escaped; a long one may break after underscores."""
-    return (
-        html.escape(text).replace("_", "_<wbr>") if len(text) > SHORT_HEADER else html.escape(text)
-    )
+    # Characters up to which a header in HTML stays on one line.
+    return html.escape(text).replace("_", "_<wbr>") if len(text) > 8 else html.escape(text)
 
 
 def _html_class(column: Column) -> str:

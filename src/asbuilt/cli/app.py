@@ -40,6 +40,12 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
 HELP = {"help_option_names": ["-h", "--help"]}
+VERSION = Annotated[
+    bool,
+    typer.Option(
+        "--version", is_eager=True, callback=print_version, help="Show the version and exit."
+    ),
+]
 
 
 class Command(TyperCommand):
@@ -76,11 +82,7 @@ class Command(TyperCommand):
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write the examples, one a line."""
-        place = ctx.command_path.removeprefix("asbuilt ")
-        if place in EVERY_COMMAND:
-            with formatter.section("Examples"):
-                for arguments in EVERY_COMMAND[place].examples:
-                    formatter.write(f"  asbuilt {place} {arguments}".rstrip() + "\n")
+        _write_examples(ctx, formatter)
 
 
 def _arguments(command: Any, ctx: Any) -> list[Any]:
@@ -88,47 +90,46 @@ def _arguments(command: Any, ctx: Any) -> list[Any]:
 
 
 class Commands(TyperGroup):
-    """All commands, by group, from the static table."""
+    """All commands by group, or those of a command such as `fleet`, from the static table."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands."""
-        return [*COMMANDS]
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import a command; raises `UsageError` if there is none of this name."""
-        entry = _entry(COMMANDS, cmd_name, "asbuilt")
-        return _group(cmd_name, entry) if cmd_name in SUBCOMMANDS else _command(cmd_name, entry)
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands of each group with their summaries."""
-        for title, entries in GROUPS.items():
-            with formatter.section(title):
-                formatter.write_dl([(name, entry.summary) for name, entry in entries.items()])
-
-
-class Subcommands(TyperGroup):
-    """The commands of a command, such as those of `fleet`."""
+    @property
+    def _sections(self) -> Mapping[str, Mapping[str, Entry]]:
+        return {"Commands": SUBCOMMANDS[self.name]} if self.name in SUBCOMMANDS else GROUPS
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of its commands."""
-        return [*SUBCOMMANDS[str(self.name)]]
+        return [name for entries in self._sections.values() for name in entries]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command; raises `UsageError` if there is none of this name."""
-        entries = SUBCOMMANDS[str(self.name)]
-        return _command(cmd_name, _entry(entries, cmd_name, f"asbuilt {self.name}"))
+        entries = {name: each for group in self._sections.values() for name, each in group.items()}
+        entry = _entry(entries, cmd_name, ctx.command_path)
+        if cmd_name in SUBCOMMANDS and self.name not in SUBCOMMANDS:
+            return typer.main.get_command(
+                _group(cmd_name, help=entry.summary, add_completion=False)
+            )
+        return _command(cmd_name, entry)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands with their summaries."""
-        with formatter.section("Commands"):
-            entries = SUBCOMMANDS[str(self.name)]
-            formatter.write_dl([(name, entry.summary) for name, entry in entries.items()])
+        """Write the commands of each group with their summaries."""
+        for title, entries in self._sections.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, entry.summary) for name, entry in entries.items()])
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Write two examples."""
+        """Write two examples, or what explains more."""
+        if self.name in SUBCOMMANDS:
+            _write_examples(ctx, formatter)
+        else:
+            super().format_epilog(ctx, formatter)
+
+
+def _write_examples(ctx: Any, formatter: Any) -> None:
+    place = ctx.command_path.removeprefix("asbuilt ")
+    if place in EVERY_COMMAND:
         with formatter.section("Examples"):
-            for arguments in COMMANDS[str(self.name)].examples:
-                formatter.write(f"  asbuilt {self.name} {arguments}\n")
+            for arguments in EVERY_COMMAND[place].examples:
+                formatter.write(f"  asbuilt {place} {arguments}".rstrip() + "\n")
 
 
 def _entry(entries: Mapping[str, Entry], name: str, place: str) -> Entry:
@@ -159,53 +160,29 @@ def _command(name: str, entry: Entry) -> Any:
     return typer.main.get_command(alone)
 
 
-def _group(name: str, entry: Entry) -> Any:
-    """Return a command that has commands."""
+def _group(name: str, **described: Any) -> typer.Typer:
+    """Return a command that has commands, and shows its help without one."""
     group = typer.Typer(
-        name=name,
-        cls=Subcommands,
-        help=entry.summary,
-        context_settings=HELP,
-        add_completion=False,
-        rich_markup_mode=None,
+        name=name, cls=Commands, context_settings=HELP, rich_markup_mode=None, **described
     )
 
     @group.callback(invoke_without_command=True)
-    def begin(context: typer.Context) -> None:
+    def begin(context: typer.Context, version: VERSION = False) -> None:
         if context.invoked_subcommand is None:
             print(context.get_help())
             raise typer.Exit(2)
 
-    return typer.main.get_command(group)
+    return group
 
 
-app = typer.Typer(
-    name="asbuilt",
-    cls=Commands,
+app = _group(
+    "asbuilt",
     help=(
         "Identify the dynamic model of a robot arm as built, from its description and recordings"
         " of its motion and torque."
     ),
     epilog="asbuilt COMMAND -h explains a command; asbuilt demo shows a complete run.",
-    context_settings=HELP,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
 )
-
-
-@app.callback(invoke_without_command=True)
-def _start(
-    context: typer.Context,
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", is_eager=True, callback=print_version, help="Show the version and exit."
-        ),
-    ] = False,
-) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
-        raise typer.Exit(2)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -236,8 +213,9 @@ def _flushed(status: int) -> int:
 def _status(given: list[str]) -> int:
     """Run the command line; report every failure and return the exit status."""
     try:
-        command = typer.main.get_command(app)
-        status = command.main(args=given, prog_name="asbuilt", standalone_mode=False)
+        status = typer.main.get_command(app).main(
+            args=given, prog_name="asbuilt", standalone_mode=False
+        )
     except AsbuiltError as problem:
         hint = cure_text(problem.cure)
         return _fail(

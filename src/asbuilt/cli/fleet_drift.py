@@ -52,7 +52,9 @@ def report(
     *,
     out: Annotated[
         Path,
-        typer.Option("--out", metavar="DIR", help="folder for the page", callback=writable_folder),
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="folder for the page", callback=writable_folder
+        ),
     ],
     since: ChangesSince = None,
     options: FleetDriftOptions,

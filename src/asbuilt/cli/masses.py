@@ -47,6 +47,7 @@ def masses(
         Path | None,
         typer.Option(
             "--out",
+            "-o",
             metavar="FILE",
             help="robot with the computed mass properties, .urdf or .toml",
             callback=writable_file,

@@ -69,7 +69,9 @@ def excite(
     ] = None,
     out: Annotated[
         Path,
-        typer.Option("--out", metavar="FILE", help="motion file to write", callback=writable_file),
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="motion file to write", callback=writable_file
+        ),
     ] = Path("motion.csv"),
     workers: Annotated[
         int | None,
@@ -246,7 +248,11 @@ def program(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", metavar="DIR", help="folder for the files to write", callback=writable_folder
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="folder for the files to write",
+            callback=writable_folder,
         ),
     ] = Path("program"),
     full: Full = False,

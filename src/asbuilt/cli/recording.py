@@ -194,6 +194,7 @@ def simulate(
         Path | None,
         typer.Option(
             "--out",
+            "-o",
             metavar="LOG",
             help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
             callback=writable_file,
@@ -257,10 +258,6 @@ def simulate(
     )
 
 
-FAST = 1.0
-"""Highest frequency of the random motion of servos, whose links are light [Hz]."""
-
-
 def _motion(
     model: RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
 ) -> Motion:
@@ -271,7 +268,8 @@ def _motion(
     if motion is not None:
         return read_motion(motion, model)
     seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
-    harmonics = max(5, round(FAST * seconds)) if fast else 5
+    # 1.0: highest frequency of the random motion of servos, whose links are light [Hz].
+    harmonics = max(5, round(1.0 * seconds)) if fast else 5
     return random_fourier(model, rng=seed, duration=seconds, n_harmonics=harmonics)
 
 

@@ -97,7 +97,11 @@ def schema(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="FILE", help="file to write [default: print]", callback=writable_file
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="file to write [default: print]",
+            callback=writable_file,
         ),
     ] = None,
     as_json: AsJson = False,

@@ -11,12 +11,6 @@ from asbuilt.excitation.limits import LimitReport
 from asbuilt.excitation.motions.motion import JUMPING, Motion
 from asbuilt.findings import Cure, Finding, joined, ranked
 
-SKELETON_RATE = 100.0
-"""Rate at which the skeleton of an unchecked motion is tested for collisions [Hz]."""
-
-SAME_POSE = 1e-6
-"""Difference in every joint below which poses are the same [rad or m]."""
-
 
 def design_findings(design: Design | StaticDesign) -> tuple[Finding, ...]:
     """Return the findings about a designed motion or static poses, the most severe first."""
@@ -50,7 +44,8 @@ def _collisions(design: Design | StaticDesign) -> Finding:
 
 
 def _skeleton_distance(design: Design | StaticDesign, motion: Motion) -> float | None:
-    poses = motion.derivative(motion.sample_times(SKELETON_RATE))
+    # Rate at which the skeleton of an unchecked motion is tested for collisions [Hz].
+    poses = motion.derivative(motion.sample_times(100.0))
     return skeleton_distance(design.model, poses)
 
 
@@ -87,7 +82,8 @@ def _of_poses(design: StaticDesign) -> list[Finding]:
     if design.turns:
         text = f"the route turns at {design.turns} further poses, without rest, to avoid obstacles"
         found.append(Finding("route_turns", "info", text))
-    if np.ptp(design.poses, axis=0).max() < SAME_POSE:
+    # Difference in every joint below which poses are the same [rad or m].
+    if np.ptp(design.poses, axis=0).max() < 1e-6:
         text = "the poses are all the same, because gravity acts alike in every pose of this robot"
         found.append(Finding("poses_equal", "info", text))
     return found

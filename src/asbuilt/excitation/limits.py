@@ -13,9 +13,6 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion, read_only
 
-ALLOWED_EXCESS = 1e-9
-"""A limit counts as violated when it is exceeded by more than this fraction (rounding)."""
-
 
 @dataclass(frozen=True)
 class AssumedLimits:
@@ -135,7 +132,8 @@ class LimitMargin:
     @property
     def violated(self) -> bool:
         """Whether the limit is exceeded, by more than rounding."""
-        return self.margin < -ALLOWED_EXCESS
+        # A limit counts as violated when it is exceeded by more than this fraction (rounding).
+        return self.margin < -1e-9
 
     def __str__(self) -> str:
         relation = (

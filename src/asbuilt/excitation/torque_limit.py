@@ -16,9 +16,6 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.state_constraint import StateConstraint
 
-SIGN_WIDTH = 0.02
-"""Width over which the sign in described friction is smoothed for derivatives [rad/s or m/s]."""
-
 STANDING = 0.9
 """Share of the allowed torque that a robot at rest may need; the rest accelerates it."""
 
@@ -118,7 +115,9 @@ class TorqueLimit(StateConstraint):
             return np.zeros_like(q)
         if self._drive.of_motor.any():
             return self._exact_friction(q, qd, qdd, load)
-        sign = np.tanh(qd / SIGN_WIDTH)
+        # Width over which the sign in described friction is smoothed for derivatives [rad/s or
+        # m/s].
+        sign = np.tanh(qd / 0.02)
         away = np.abs(qd) + 1e-12
         ahead, behind = (
             self._exact_friction(q, away, qdd, load),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,16 +14,26 @@ CLEAR_LOAD = 0.5
 """Correlation with gravity's torque from which a group is taken for torques."""
 CLEARLY_BETTER = 0.1
 """Correlation with gravity's torque by which positions are rather degrees than radians."""
-LARGEST_ANGLE = 400.0
-"""Positions beyond are none, neither in radians nor in degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class GravityRules:
+    """Hold when positions and torques are taken for those of gravity's load."""
+
+    largest_angle: float = 400.0
+    """Positions beyond are none, neither in radians nor in degrees."""
+    most_samples: int = 2000
+    """Samples that a guess looks at."""
+    clearly_explained: float = 0.3
+    """Share of the torques' variance that gravity must explain in the right unit alone."""
+    heavy: float = 0.1
+    """Range of gravity's torque, relative to the largest joint's, from which a joint
+    carries load."""
+
+
+RULES = GravityRules()
 LARGEST_RADIANS = 4 * np.pi
 """Positions beyond are degrees: few axes turn twice either way."""
-MOST_SAMPLES = 2000
-"""Samples that a guess looks at."""
-CLEARLY_EXPLAINED = 0.3
-"""Share of the torques' variance that gravity must explain in the right unit alone."""
-HEAVY = 0.1
-"""Range of gravity's torque, relative to the largest joint's, from which a joint carries load."""
 DEGREE = np.pi / 180
 """A degree in radians."""
 
@@ -36,7 +47,7 @@ def load_matches(model: RobotModel, q: Array, columns: list[Array], scale: float
     step, load = _load(model, q, scale)
     if load is None:
         return np.zeros(len(columns))
-    heavy = np.ptp(load, axis=0) > HEAVY * max(float(np.ptp(load, axis=0).max()), 1e-9)
+    heavy = np.ptp(load, axis=0) > RULES.heavy * max(float(np.ptp(load, axis=0).max()), 1e-9)
     return np.array([_match(load[:, heavy], tau[::step][:, heavy]) for tau in columns])
 
 
@@ -51,7 +62,7 @@ def unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "
     shares = [_explained(model, q, tau, scale) for scale in (1.0, DEGREE)]
     matches = [load_matches(model, q, [tau], scale)[0] for scale in (1.0, DEGREE)]
     for (plain, turned), least, apart in (
-        (shares, CLEARLY_EXPLAINED, CLEARLY_EXPLAINED),
+        (shares, RULES.clearly_explained, RULES.clearly_explained),
         (matches, CLEAR_LOAD, CLEARLY_BETTER),
     ):
         if max(plain, turned) > least and abs(plain - turned) > apart:
@@ -63,9 +74,9 @@ def _load(model: RobotModel, q: Array, scale: float) -> tuple[int, Array | None]
     """Return gravity's torque at every `step`th row, None where the positions are none."""
     from asbuilt.dynamics.newton_euler import gravity_torque  # noqa: PLC0415 - light start
 
-    step = max(1, q.shape[0] // MOST_SAMPLES)
+    step = max(1, q.shape[0] // RULES.most_samples)
     rows = q[::step]
-    if not np.all(np.isfinite(rows)) or np.abs(rows).max() > LARGEST_ANGLE:
+    if not np.all(np.isfinite(rows)) or np.abs(rows).max() > RULES.largest_angle:
         return step, None
     return step, gravity_torque(model, scale * rows)
 

@@ -6,11 +6,6 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 
-PER_PERIOD = 0.25
-"""Fastest pole per sampling rate; a faster one passes quantisation on."""
-FASTER = 4.0
-"""Pole of the filter per pole of the observer, so that it is late by half of the observer's lag."""
-
 SETTLED = 10.0
 """Time in `1 / w` after which the filter has forgotten its start."""
 
@@ -59,7 +54,10 @@ class CausalFilter:
 
 def filter_pole(bandwidth: float, rate: float) -> float:
     """Return the pole [rad/s] beside an observer of `bandwidth` [Hz] at a sampling rate [Hz]."""
-    return float(min(FASTER * 2.0 * np.pi * bandwidth, PER_PERIOD * 2.0 * np.pi * rate))
+    # 0.25: fastest pole per sampling rate; a faster one passes quantisation on.
+    # 4.0: pole of the filter per pole of the observer, so that it is late by half of the observer's
+    # lag.
+    return float(min(4.0 * 2.0 * np.pi * bandwidth, 0.25 * 2.0 * np.pi * rate))
 
 
 def pole_for(steps: Array, bandwidth: float) -> float:

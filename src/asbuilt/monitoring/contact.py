@@ -11,11 +11,6 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_jacobians, link_poses
 
-WIDE = 1e3
-"""Standard deviation [N, N m] of the prior of forces and moments: what torques leave open keeps
-an error of this size."""
-CLEAR = 3.0
-"""Force, in standard errors, from which a point is given."""
 STEP = 1e-6
 
 
@@ -69,7 +64,8 @@ def estimate_contact(
     wrench, error, _ = _fitted(jacobian.T, residual, covariance)
     size = float(np.linalg.norm(wrench[3:]))
     along = wrench[3:] / size if size > 0.0 else np.zeros(3)
-    if size < CLEAR * np.sqrt(along @ error[3:, 3:] @ along):
+    # 3.0: force, in standard errors, from which a point is given.
+    if size < 3.0 * np.sqrt(along @ error[3:, 3:] @ along):
         return Contact(force, errors, p_value)
     point = _nearest_point(wrench)
     slopes = np.column_stack(
@@ -93,7 +89,9 @@ def _fitted(columns: Array, values: Array, covariance: Array) -> tuple[Array, Ar
     """Return estimate, its covariance and the weighted sum of squares left."""
     root = np.linalg.cholesky(covariance)
     A, b = np.linalg.solve(root, columns), np.linalg.solve(root, values)
-    error: Array = np.asarray(np.linalg.inv(A.T @ A + np.eye(A.shape[1]) / WIDE**2), np.float64)
+    # Standard deviation [N, N m] of the prior of forces and moments: what torques leave open keeps
+    # an error of this size.
+    error: Array = np.asarray(np.linalg.inv(A.T @ A + np.eye(A.shape[1]) / 1e3**2), np.float64)
     found: Array = error @ A.T @ b
     return found, error, float(np.sum((b - A @ found) ** 2))
 

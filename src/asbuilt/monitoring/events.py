@@ -19,20 +19,31 @@ from asbuilt.monitoring.thresholds import Thresholds
 
 Kind = Literal["contact", "fault", "payload"]
 
-PERSISTENT = 2.0
-"""Duration [s] from which an offset of one joint counts as a fault, and a payload is considered."""
-MOSTLY = 0.5
-"""Share of an event in which a joint must be beyond its threshold to take part in an offset."""
-QUIET = 0.7
-"""Share of its threshold that the residual of a joint without a part in an event may reach."""
-EXPLAINED = 0.8
-"""Share of the residual's squares that a payload must explain."""
-DETERMINED = 200.0
-"""Largest condition number (columns scaled) of the four parameters of a payload."""
-CLEAR = 3.0
-MOST_ROWS = 400
-CLUSTER = 1.0
-"""Time [s] in which errors of the model count as one."""
+
+@dataclass(frozen=True, slots=True)
+class EventRules:
+    """Hold when an event counts as a fault or a payload."""
+
+    persistent: float = 2.0
+    """Duration [s] from which an offset of one joint counts as a fault, and a payload is
+    considered."""
+    mostly: float = 0.5
+    """Share of an event in which a joint must be beyond its threshold to take part in an offset."""
+    quiet: float = 0.7
+    """Share of its threshold that the residual of a joint without a part in an event may reach."""
+    explained: float = 0.8
+    """Share of the residual's squares that a payload must explain."""
+    determined: float = 200.0
+    """Largest condition number (columns scaled) of the four parameters of a payload."""
+    clear: float = 3.0
+    """Least mass of a payload, in standard errors."""
+    most_rows: int = 400
+    """Samples that a payload is fitted to."""
+    cluster: float = 1.0
+    """Time [s] in which errors of the model count as one."""
+
+
+RULES = EventRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,13 +172,13 @@ def _event(
         threshold=limit[peak],
         contact=estimate_contact(model, q, r, error, *tool),
     )
-    if event.duration < PERSISTENT:
+    if event.duration < RULES.persistent:
         return event
     mass = payload_change(observer, observed.part(part), scale[part], tool[0])
     if mass is not None:
         return replace(event, kind="payload", mass=mass[0], mass_error=mass[1])
-    lasting = np.mean(ratio > 1.0, axis=0) > MOSTLY
-    if lasting.sum() == 1 and np.all(np.quantile(ratio, 0.9, axis=0)[~lasting] < QUIET):
+    lasting = np.mean(ratio > 1.0, axis=0) > RULES.mostly
+    if lasting.sum() == 1 and np.all(np.quantile(ratio, 0.9, axis=0)[~lasting] < RULES.quiet):
         return replace(event, kind="fault")
     return event
 
@@ -196,12 +207,13 @@ def payload_change(
     """Return the change of mass [kg] at a link that explains the residual, and its error, or None.
 
     `scale` (N, n) are standard deviations of the residual. Errors of the model last as long as a
-    pose does, so the standard error is that of clusters of `CLUSTER` seconds (Liang and Zeger,
-    1986).
+    pose does, so the standard error is that of clusters of `RULES.cluster` seconds (Liang and
+    Zeger, 1986).
     """
     t = observed.t
     spacing = max(
-        5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t))), len(t) / MOST_ROWS
+        5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t))),
+        len(t) / RULES.most_rows,
     )
     rows = np.arange(0, len(t), max(1, round(spacing)))
     weight = 1.0 / np.maximum(scale[rows], 1e-9).ravel()
@@ -210,13 +222,13 @@ def payload_change(
     A = weight[:, None] * observation_matrix(observer.model, *state, columns=columns)
     b = -weight * observed.residual[rows].ravel()
     lengths = np.linalg.norm(A, axis=0)
-    if len(b) <= 8 or np.any(lengths == 0.0) or np.linalg.cond(A / lengths) > DETERMINED:
+    if len(b) <= 8 or np.any(lengths == 0.0) or np.linalg.cond(A / lengths) > RULES.determined:
         return None
     found = np.linalg.lstsq(A, b, rcond=None)[0]
     left = float(np.sum((b - A @ found) ** 2))
     times = np.repeat(t[rows], observed.q.shape[1])
-    error = _clustered_error(A, b - A @ found, np.floor((times - t[0]) / CLUSTER))
-    if left > (1.0 - EXPLAINED) * float(b @ b) or abs(found[3]) < CLEAR * error:
+    error = _clustered_error(A, b - A @ found, np.floor((times - t[0]) / RULES.cluster))
+    if left > (1.0 - RULES.explained) * float(b @ b) or abs(found[3]) < RULES.clear * error:
         return None
     return float(found[3]), float(error)
 

@@ -24,19 +24,28 @@ from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure
 
-FEWEST_BLOCKS = 20
-"""Blocks below which no tail is fitted."""
+
+@dataclass(frozen=True, slots=True)
+class TailRules:
+    """Hold when a tail is fitted, and its priors."""
+
+    fewest_blocks: int = 20
+    """Blocks below which no tail is fitted."""
+    fewest_peaks: int = 10
+    """Blocks that a tail has at least."""
+    shape_error: float = 0.1
+    """Standard deviation of the prior of the shape about 0, the exponential tail: torque errors are
+    sums of many bounded causes."""
+    least_spread: float = 0.05
+    """Least mean excess, per start of the tail: blocks that are alike, as of a joint at rest whose
+    sensor repeats itself, do not show how the next ones differ."""
+
+
+TAIL = TailRules()
 TAILS = (0.02, 0.005)
-"""Shares of the blocks that are taken as the tail, or `FEWEST_PEAKS` of them; the highest level
-counts. Rare states, such as reversals, have errors of their own, whose tail a fit to many blocks
-does not see: on the iiwa and the Panda it begins at the largest half percent."""
-FEWEST_PEAKS = 10
-SHAPE_ERROR = 0.1
-"""Standard deviation of the prior of the shape about 0, the exponential tail: torque errors are
-sums of many bounded causes."""
-LEAST_SPREAD = 0.05
-"""Least mean excess, per start of the tail: blocks that are alike, as of a joint at rest whose
-sensor repeats itself, do not show how the next ones differ."""
+"""Shares of the blocks that are taken as the tail, or `TAIL.fewest_peaks` of them; the highest
+level counts. Rare states, such as reversals, have errors of their own, whose tail a fit to many
+blocks does not see: on the iiwa and the Panda it begins at the largest half percent."""
 SHAPES = np.linspace(-0.4, 0.4, 41)
 SCALES = np.geomspace(0.25, 4.0, 61)
 """Scales of the posterior, in mean excesses."""
@@ -98,13 +107,13 @@ def tail_level(maxima: Array, probability: float, shares: Sequence[float] = TAIL
     """
     x = np.sort(maxima)
     blocks = len(x)
-    if blocks < FEWEST_BLOCKS:
+    if blocks < TAIL.fewest_blocks:
         raise RecordingError(
-            f"{blocks} blocks are too few for the tail of the residual; at least {FEWEST_BLOCKS}"
-            " are needed",
+            f"{blocks} blocks are too few for the tail of the residual; at least"
+            f" {TAIL.fewest_blocks} are needed",
             cure=Cure("give a longer recording without contact"),
             value=blocks,
-            expected=FEWEST_BLOCKS,
+            expected=TAIL.fewest_blocks,
         )
     counts = {_peaks(blocks, share) for share in shares}
     found = [_tail(x, peaks, probability) for peaks in sorted(counts, reverse=True)]
@@ -137,13 +146,13 @@ def _tail(x: Array, peaks: int, probability: float) -> Tail:
 
 
 def largest(maxima: Array) -> Array:
-    """Return the largest share `TAILS[0]` of maxima (B,), at least `FEWEST_PEAKS`, in order."""
+    """Return the largest `TAILS[0]` of maxima (B,), at least `TAIL.fewest_peaks`, in order."""
     return np.sort(maxima)[-_peaks(len(maxima), TAILS[0]) :]
 
 
 def _peaks(blocks: int, share: float) -> int:
     """Return how many maxima of blocks are the tail of a share of them."""
-    return min(max(round(share * blocks), FEWEST_PEAKS), blocks // 2)
+    return min(max(round(share * blocks), TAIL.fewest_peaks), blocks // 2)
 
 
 def exponential_level(maxima: Array, probability: float) -> float:
@@ -157,7 +166,7 @@ def _start(x: Array, peaks: int) -> tuple[float, float]:
     """Return the start and the mean excess of the tail of the largest `peaks` of sorted maxima."""
     start = float(x[-peaks - 1])
     mean = float(np.mean(x[-peaks:] - start))
-    return start, max(mean, LEAST_SPREAD * start, np.finfo(float).tiny)
+    return start, max(mean, TAIL.least_spread * start, np.finfo(float).tiny)
 
 
 def gumbel_level(maxima: Array, probability: float) -> float:
@@ -181,7 +190,7 @@ def _posterior(y: Array) -> tuple[Array, Array, Array]:
             y / scale[:, None],
             (1.0 + 1.0 / np.where(shape == 0.0, 1.0, shape))[:, None] * np.log(inside),
         )
-    likelihood = -len(y) * np.log(scale) - power.sum(axis=1) - 0.5 * (shape / SHAPE_ERROR) ** 2
+    likelihood = -len(y) * np.log(scale) - power.sum(axis=1) - 0.5 * (shape / TAIL.shape_error) ** 2
     likelihood[~np.isfinite(likelihood) | np.any(inside <= 0.0, axis=1)] = -np.inf
     weight = np.exp(likelihood - likelihood.max())
     return shape, scale, weight / weight.sum()

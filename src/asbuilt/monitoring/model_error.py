@@ -16,8 +16,6 @@ from asbuilt.identification.result.result import IdentificationResult
 
 CHUNK = 2000
 """Samples of a regressor that are held at once."""
-NEGLIGIBLE = 1e-12
-"""Share of the largest eigenvalue below which a direction of the covariance is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +42,8 @@ class ModelError:
             empty = np.empty((0, 0))
             return cls(getattr(robot, "model", robot), DriveSet(()), np.empty(0, int), empty)
         values, vectors = np.linalg.eigh(robot.covariance)
-        kept = values > NEGLIGIBLE * max(float(values[-1]), 0.0)
+        # Share of the largest eigenvalue below which a direction of the covariance is rounding.
+        kept = values > 1e-12 * max(float(values[-1]), 0.0)
         return cls(
             robot.model,
             robot.base.drive,

@@ -25,8 +25,24 @@ from asbuilt.monitoring.extremes import (
 from asbuilt.monitoring.model_error import ModelError
 from asbuilt.monitoring.observed import Observed
 
-BLOCK = 1.0
-"""Shortest block [s]; longer than the observer remembers and than most contacts last."""
+
+@dataclass(frozen=True, slots=True)
+class LevelRules:
+    """Hold how levels are set."""
+
+    block: float = 1.0
+    """Shortest block [s]; longer than the observer remembers and than most contacts last."""
+    most: float = 0.5
+    """Largest probability of an alarm in a block; beyond it a level lies within the noise."""
+    parts: int = 5
+    """Parts of the time of which each is measured in units that follow from the others."""
+    within: float = 1.0
+    """Level of a joint whose residuals all lie within the bounds of known errors, in scales."""
+    most_rows: int = 20000
+    """Samples that the scale is fitted to; a residual of 20 ms repeats itself."""
+
+
+LEVELS = LevelRules()
 SLOW = (0.01, 0.03, 0.1, 0.3)
 """Speeds, as shares of the top speed, below which friction may be in error; one is chosen."""
 UNIFORM = 1.0 / np.sqrt(3.0)
@@ -35,18 +51,10 @@ POSITIVE = ("level", "floor", "slow_speed", "spread")
 NOT_NEGATIVE = ("slow_part", "fast", "top_speed", "velocity_error", "model_part")
 HALF = 0.5
 """Largest error of the mean of a torque that steps between two samples, per step."""
-MOST = 0.5
-"""Largest probability of an alarm in a block; beyond it a level lies within the noise."""
 MANY = 500
 """Blocks from which the ten largest are the largest 2 %: joints then have one tail together."""
-PARTS = 5
-"""Parts of the time of which each is measured in units that follow from the others."""
-WITHIN = 1.0
-"""Level of a joint whose residuals all lie within the bounds of known errors, in scales."""
 LEAST = (0.001, 0.1, 0.3, 1.0)
 """Least floors of the scale, per RMS residual; one is chosen."""
-MOST_ROWS = 20000
-"""Samples that the scale is fitted to; a residual of 20 ms repeats itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,11 +267,11 @@ def set_thresholds(
     _check_measured(logs, names)
     models = [error.std(log.q, log.qd, log.qdd) for log in logs]
     kept = [np.ones(len(log.t), dtype=bool) for log in logs]
-    seconds = max(BLOCK, 5.0 / (2.0 * np.pi * bandwidth))
+    seconds = max(LEVELS.block, 5.0 / (2.0 * np.pi * bandwidth))
     hours = sum(float(log.t[-1] - log.t[0]) for log in logs) / 3600.0
     probability = float(-np.expm1(-false_alarms_per_hour / n * seconds / 3600.0))
-    if probability > MOST:
-        highest = float(-np.log1p(-MOST) * n * 3600.0 / seconds)
+    if probability > LEVELS.most:
+        highest = float(-np.log1p(-LEVELS.most) * n * 3600.0 / seconds)
         raise UsageError(
             f"{false_alarms_per_hour:g} false alarms per hour are more than thresholds can be set"
             f" for; at most {highest:.0f} per hour are possible for {n} joints",
@@ -307,7 +315,7 @@ def set_thresholds(
     else:
         level = np.array([gumbel_level(column, probability) for column in maxima.T])
     # Where no residual leaves the bounds of known errors there is no tail to extrapolate.
-    return replace(made, level=np.where(level > 0.0, level, WITHIN))
+    return replace(made, level=np.where(level > 0.0, level, LEVELS.within))
 
 
 def _spread(logs: Sequence[Observed], scales: Sequence[Array], kept: Sequence[Mask]) -> Array:
@@ -336,8 +344,10 @@ def levels(maxima: Array, expected: float) -> Array:
     if len(maxima) < MANY:
         each = float(-np.expm1(-expected / n))
         return np.array([tail_level(column, each).level for column in maxima.T])
-    part = np.arange(len(maxima)) * PARTS // len(maxima)
-    pooled = [(maxima[part == k] / _sizes(maxima[part != k])).max(axis=1) for k in range(PARTS)]
+    part = np.arange(len(maxima)) * LEVELS.parts // len(maxima)
+    pooled = [
+        (maxima[part == k] / _sizes(maxima[part != k])).max(axis=1) for k in range(LEVELS.parts)
+    ]
     tail = tail_level(np.concatenate(pooled), float(-np.expm1(-expected)), TAILS[-1:])
     return _sizes(maxima) * tail.level
 
@@ -405,7 +415,7 @@ def _parts(
     top = float(np.abs(speed).max()) or 1.0
     starts = _block_starts(logs, kept, seconds)
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
-    few = slice(None, None, max(1, len(residual) // MOST_ROWS))
+    few = slice(None, None, max(1, len(residual) // LEVELS.most_rows))
     beside = np.column_stack([step, unknown]) / size
     least = [least_speed(velocities_before(log), log.qd) for log in logs]
     best: tuple[float, tuple[float, float, float, float, float]] | None = None

@@ -17,8 +17,6 @@ GAIN = float(np.sqrt(70.0))
 """Standard deviation of fourth differences of white noise of 1: root of 1 + 16 + 36 + 16 + 1."""
 SLOWEST = 0.1
 """Share of the samples, the slowest, in which noise is sought."""
-NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
 
 
 def largest_velocity_error(
@@ -66,7 +64,8 @@ def _noise(x: Array, rate: Array) -> Array:
     for size, speed in zip(sizes.T, np.abs(rate).T, strict=True):
         near = size[speed <= np.quantile(speed, SLOWEST)] if size.size else size
         found.append(np.median(near[near > 0.0]) if near.any() else 0.0)
-    return np.array(found) / (NORMAL * GAIN)
+    # Median of the absolute value of a standard normal variable.
+    return np.array(found) / (0.6745 * GAIN)
 
 
 def _derivative_gain(pole: float, spacing: float) -> float:

@@ -27,24 +27,33 @@ Array = NDArray[np.float64]
 
 MULTIPLES = (0.2, 0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.2, 4.8, 7.0)
 """Cutoffs that are tried, in multiples of the one that the chain would choose."""
-HIGHEST_SHARE = 0.2
-"""No cutoff above this share of the sampling rate,"""
-APART = 1.2
-"""nor one between that and a fraction of it so small that the two would be one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepRules:
+    """Hold which cutoffs are tried, and which of them is taken."""
+
+    highest_share: float = 0.2
+    """No cutoff above this share of the sampling rate,"""
+    apart: float = 1.2
+    """nor one between that and a fraction of it so small that the two would be one."""
+    short: float = 15.0
+    """Length [s] below which a recording is short: it has no third block of 5 s."""
+    fewest: int = 10
+    """Held-out samples below which a cutoff is not tried."""
+    as_good: float = 1.02
+    """Held-out error, in multiples of the smallest, that counts as equally good.
+
+    Of these the lowest cutoff is taken.
+    """
+
+
+SWEEP = SweepRules()
 HOLDOUT, SHORT_HOLDOUT = "blocks:5s:3", "blocks:2s:3"
 """What is held out to choose by where the user holds nothing out, and of short recordings.
 
 A low-pass at 3 Hz takes a second of every block: of blocks of 2 s the error is that of what is
 left.
-"""
-SHORT = 15.0
-"""Length [s] below which a recording is short: it has no third block of 5 s."""
-FEWEST = 10
-"""Held-out samples below which a cutoff is not tried."""
-AS_GOOD = 1.02
-"""Held-out error, in multiples of the smallest, that counts as equally good.
-
-Of these the lowest cutoff is taken.
 """
 
 
@@ -190,8 +199,10 @@ def sweep_cutoffs(
     start = resolve_chain(chain or SignalChain(), *recordings)
     assert start.cutoff is not None
     rates = [recording.rate for recording in recordings]
-    tried = sorted(map(float, cutoffs or _worth_trying(start.cutoff, HIGHEST_SHARE * min(rates))))
-    short = min(recording.duration for recording in recordings) < SHORT
+    tried = sorted(
+        map(float, cutoffs or _worth_trying(start.cutoff, SWEEP.highest_share * min(rates)))
+    )
+    short = min(recording.duration for recording in recordings) < SWEEP.short
     rule = holdout or (SHORT_HOLDOUT if short else HOLDOUT)
     parse_rule(rule)
     base = find_base_parameters(model, drive)
@@ -205,7 +216,7 @@ def sweep_cutoffs(
             training, held_out = divided(recordings, at, rule)
             result = identify_samples(model, training, base=base, method=method)
             judged = [validate_samples(result, held) for held in held_out]
-            if min(item.t.size for item in judged) < FEWEST:
+            if min(item.t.size for item in judged) < SWEEP.fewest:
                 raise RecordingError("the low-pass leaves too few samples to validate")
         except AsbuiltError as problem:
             last = problem
@@ -232,13 +243,13 @@ def sweep_cutoffs(
         CutoffTrial(*trial, float(score), float(band))
         for trial, score, band in zip(found, scores, bands, strict=True)
     )
-    good = [trial for trial in trials if trial.score <= AS_GOOD]
+    good = [trial for trial in trials if trial.score <= SWEEP.as_good]
     chosen = good[0]
     worst = max(trials, key=lambda trial: trial.score)
     why = (
         f"{significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within"
-        f" {100 * (AS_GOOD - 1):.0f} % of the smallest; {significant(worst.cutoff)} Hz would cost"
-        f" {100 * (worst.score - 1):.0f} % more."
+        f" {100 * (SWEEP.as_good - 1):.0f} % of the smallest; {significant(worst.cutoff)} Hz would"
+        f" cost {100 * (worst.score - 1):.0f} % more."
     )
     if chosen in (trials[0], trials[-1]) and len(trials) > 1:
         why += f" None {'lower' if chosen is trials[0] else 'higher'} was tried."
@@ -250,5 +261,7 @@ def _whiteness(judged: Validation, cutoff: float) -> tuple[Array, Array]:
 
 
 def _worth_trying(usual: float, highest: float) -> list[float]:
-    below = [multiple * usual for multiple in MULTIPLES if multiple * usual * APART <= highest]
+    below = [
+        multiple * usual for multiple in MULTIPLES if multiple * usual * SWEEP.apart <= highest
+    ]
     return [*below, min(MULTIPLES[-1] * usual, highest)] if len(below) < len(MULTIPLES) else below

@@ -28,8 +28,6 @@ from asbuilt.identification.result.result import IdentificationResult
 
 FRICTION = DriveSet.parse("viscous,coulomb,offset")
 """Drive terms without which friction passes for a delay."""
-SURE = 3.0
-"""Standard errors that a delay must exceed for a warning: of fault-free recordings 5 % exceed 2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +157,8 @@ def delay_findings(
         else ""
     )
     joints = " (joints differ)" if any(each.joints for each in late) else ""
-    sure = any(each.joints or abs(each.estimate) > SURE * each.std_error for each in late)
+    # Standard errors that a delay must exceed for a warning: of fault-free recordings 5 % exceed 2.
+    sure = any(each.joints or abs(each.estimate) > 3.0 * each.std_error for each in late)
     alarming = matters and sure
     return (
         Finding(

@@ -23,16 +23,24 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, joined
 from asbuilt.workflow.prepare import prepare
 
-TOO_LITTLE = 1e-3
-"""Efficiency of a joint's worst parameter below which the joint moved too little."""
-SLOW = 0.25
-"""Top speed, as a share of the limit, below which a joint moved slowly."""
-NARROW = 0.3
-"""Position range, as a share of the full one or of a turn, below which a joint moved little."""
-BEYOND = 1.05
-"""Factor by which speeds or accelerations exceed a limit that is said."""
-MOST_NAMED = 3
-"""Parameters named in the text."""
+
+@dataclass(frozen=True, slots=True)
+class EfficiencyRules:
+    """Hold when a joint moved too little, and what is said of it."""
+
+    too_little: float = 1e-3
+    """Efficiency of a joint's worst parameter below which the joint moved too little."""
+    slow: float = 0.25
+    """Top speed, as a share of the limit, below which a joint moved slowly."""
+    narrow: float = 0.3
+    """Position range, as a share of the full one or of a turn, below which a joint moved little."""
+    beyond: float = 1.05
+    """Factor by which speeds or accelerations exceed a limit that is said."""
+    most_named: int = 3
+    """Parameters named in the text."""
+
+
+RULES = EfficiencyRules()
 BETTER_MOTION = Cure("design a motion within the limits", call="design_motion")
 
 
@@ -89,8 +97,8 @@ class RecordedInformation:
             f"{self._beyond()}"
         ]
         if self._lacking:
-            slow = [k for k in self._lacking if self.top_speed[k] < SLOW]
-            narrow = [k for k in self._lacking if self.travel[k] < NARROW]
+            slow = [k for k in self._lacking if self.top_speed[k] < RULES.slow]
+            narrow = [k for k in self._lacking if self.travel[k] < RULES.narrow]
             rest = [self.joint_names[k] for k in self._lacking if k not in {*slow, *narrow}]
             parts = [
                 self._listed("slow, in shares of the speed limit: ", slow, self.top_speed),
@@ -125,7 +133,7 @@ class RecordedInformation:
 
     @property
     def _lacking(self) -> list[int]:
-        return [k for k, part in enumerate(self.efficiency.by_joint) if part < TOO_LITTLE]
+        return [k for k, part in enumerate(self.efficiency.by_joint) if part < RULES.too_little]
 
     def _listed(self, how: str, joints: list[int], parts: Array) -> str:
         named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
@@ -135,7 +143,7 @@ class RecordedInformation:
         outside = [
             f"{name} {factor:.2g} times"
             for name, factor in zip(self.joint_names, self.efficiency.beyond, strict=True)
-            if factor > BEYOND
+            if factor > RULES.beyond
         ]
         if not outside:
             return ""
@@ -146,7 +154,7 @@ class RecordedInformation:
 
     def _worst(self) -> str:
         ratios = self.std_error_ratios
-        worst = sorted(self._lacking, key=lambda k: -ratios[k])[:MOST_NAMED]
+        worst = sorted(self._lacking, key=lambda k: -ratios[k])[: RULES.most_named]
         names = [
             (self.efficiency.base.names[index], ratios[k])
             for k in worst

@@ -23,9 +23,6 @@ from asbuilt.workflow.delays import Delays, settle_delays
 from asbuilt.workflow.options import AUTOMATIC
 
 Progress = Callable[[str, float], None]
-
-DIGESTED = 50_000
-"""Samples in a fingerprint; a stream holds more at once."""
 FEWEST = 10
 """Samples, after the filters, below which a part is too short to be held out by default."""
 
@@ -191,7 +188,8 @@ def shortest(recordings: Sequence[Recorded]) -> float:
 
 def digest(recording: Recording) -> str:
     """Return a fingerprint of the first times and positions of a recording."""
-    parts = [part[:DIGESTED].tobytes() for part in (recording.t, recording.q)]
+    # Samples in a fingerprint; a stream holds more at once.
+    parts = [part[:50_000].tobytes() for part in (recording.t, recording.q)]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 

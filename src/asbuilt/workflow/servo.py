@@ -26,7 +26,7 @@ from asbuilt.identification.errors.between_recordings import recording_variances
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
-from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
+from asbuilt.identification.servo.servo_delay import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import (
     UNEXPLAINED,
     ServoEstimate,
@@ -41,8 +41,6 @@ from asbuilt.workflow.prepare import Prepared, settled_rule
 EXCEPTION = 1.0 / 3.0
 """Share of the time up to which motion without explanation is an exception, such as contact; more
 of it is how the robot moves: own choice."""
-UNDETERMINED = 0.5
-"""Relative standard error of a stiffness beyond which only ratios to it are determined."""
 
 
 def settle_servo(
@@ -268,7 +266,8 @@ def servo_findings(
     names = np.array(model.joint_names)
     unknown = np.array([each != "given" for each in errors.scale])
     relative = np.array(errors.kp) / np.array(found.servo.kp)
-    lost = unknown & ~(relative < UNDETERMINED)
+    # Relative standard error of a stiffness beyond which only ratios to it are determined.
+    lost = unknown & ~(relative < 0.5)
     if np.any(lost):
         findings.append(
             Finding(

@@ -2,8 +2,8 @@ from .figures.torque_figure import torque_figure as torque_figure
 from .models.convert import Conversion as Conversion
 from .models.convert import convert_robot as convert_robot
 from .models.ensembles.ensemble_files import EnsembleFiles as EnsembleFiles
+from .models.ensembles.ensemble_files import ensemble_model as ensemble_model
 from .models.ensembles.ensemble_files import write_ensemble as write_ensemble
-from .models.ensembles.ensemble_models import ensemble_model as ensemble_model
 from .models.export import Export as Export
 from .models.export import export_result as export_result
 from .motion_files import write_motion as write_motion

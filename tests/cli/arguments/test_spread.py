@@ -41,7 +41,7 @@ def run(*arguments: str) -> Any:
         name: Annotated[str, typer.Argument()],
         *,
         mixing: Mixing,
-        out: Annotated[str, typer.Option("--out")] = "",
+        out: Annotated[str, typer.Option("--out", "-o", "-o")] = "",
     ) -> None:
         """Mix."""
         seen.append((name, mixing, out))

@@ -6,20 +6,20 @@ import pickle
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from asbuilt.excitation.design.multistart import Candidate, Deadline, search_all
-from asbuilt.excitation.design.process_pool import ProcessPool
+from asbuilt.excitation.design.process_pool import SearchPool, open_pool
 
 
 @contextmanager
-def ready(work, size: int = 1) -> Iterator[ProcessPool]:
+def ready(work, size: int = 1) -> Iterator[SearchPool]:
     """A pool that has loaded what it needs."""
-    with closing(ProcessPool(work, size)) as pool:
+    with open_pool(work, size) as pool:
         end = time.monotonic() + 60
         while not pool.is_free and time.monotonic() < end:
             time.sleep(0.05)
@@ -43,12 +43,12 @@ def test_a_pool_does_its_work_and_says_when_it_is_full(tmp_path: Path) -> None:
 
 
 def test_nobody_beside_this_process_is_no_pool() -> None:
-    with closing(ProcessPool(math.sqrt, 0)) as pool:
+    with open_pool(math.sqrt, 0) as pool:
         assert not pool.is_free
 
 
 def test_work_that_cannot_be_handed_over_is_done_here() -> None:
-    with closing(ProcessPool(threading.Lock().acquire, 1)) as pool:
+    with open_pool(threading.Lock().acquire, 1) as pool:
         assert not pool.is_free
 
 

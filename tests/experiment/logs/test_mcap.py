@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.mcap.messages import read_mcap
 from asbuilt.experiment.logs.readers import read_recording
+
+pytest.importorskip("mcap")
 
 MAGIC = b"\x89MCAP0\r\n"
 N = 200
@@ -164,15 +167,29 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> No
     assert any("cut off after 199 messages" in note for note in recording.notes)
 
 
+def test_a_chunk_that_differs_from_its_checksum_is_refused(tmp_path: Path) -> None:
+    records = channel(1, "/joint_states") + message(1, 0, joint_state(0))
+    head = struct.pack("<QQQI", 0, 1, len(records), zlib.crc32(records)) + text("")
+    changed = records.replace(b'"effort": [', b'"effort": {')
+    path = written(
+        tmp_path / "log.mcap", record(6, head + struct.pack("<Q", len(records)) + changed)
+    )
+    with pytest.raises(RecordingError, match="crc validation failed"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        (b"\x05" + b"\xff" * 30, "a record has"),
+        (b"\x05" + b"\xff" * 30, "record has length"),
         (channel(1, "/x", "protobuf"), r"no message in JSON \(topics: /x \(protobuf\)\)"),
         (channel(1, "/x") + record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + b"{"), "is not JSON"),
         (channel(1, "/x") + record(5, b"12"), "cannot be read as MCAP"),
         (record(6, struct.pack("<QQQI", 0, 1, 1 << 40, 0) + text("zstd")), "unpacks to"),
-        (record(6, struct.pack("<QQQI", 0, 1, 9, 0) + text("snappy") + b"12345678"), "snappy"),
+        (
+            record(6, struct.pack("<QQQI", 0, 1, 9, 0) + text("snappy") + struct.pack("<Q", 0)),
+            "snappy",
+        ),
         (channel(1, "/x") + message(1, 0, {"state": "idle"}), "hold no numbers"),
     ],
 )

@@ -10,10 +10,11 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.identification.calibration.gain_uncertainty import (
     UNCALIBRATED,
     USUAL_UNCERTAINTY,
+    doubted_gains,
     gain_errors_of,
     gains_in_doubt,
+    gravity_scales,
 )
-from asbuilt.identification.calibration.gravity_scale import doubted_gains, gravity_scales
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.estimators.auto import estimate_auto
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.identify import identify_samples
+from asbuilt.identification.information import rows
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import Rows
 from asbuilt.identification.result.summary import summarise
@@ -161,7 +162,7 @@ def test_rows_are_the_same_whether_they_are_held_or_made_again(robot, monkeypatc
     held = Rows(model, base, [samples])
     first = list(held)
     assert next(iter(held)) is first[0]
-    monkeypatch.setattr("asbuilt.identification.information.rows.MOST_HELD", 1.0)
+    monkeypatch.setattr(rows, "ROWS", replace(rows.ROWS, most_held=1.0))
     made = Rows(model, base, [samples])
     for again in (list(made), list(made)):
         for one, other in zip(first, again, strict=True):

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 from three_links import DRIVE, full_rows, recording
 
+from asbuilt.identification.estimators import robust
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.estimation_data import EstimationData
@@ -129,7 +130,7 @@ def test_they_still_are_where_outliers_sit_where_joints_turn_back(robot):
 
 def test_weights_that_did_not_settle_are_said_to_be_the_methods(robot, struck, monkeypatch):
     model, base, _ = robot
-    monkeypatch.setattr("asbuilt.identification.estimators.robust.MOST_ITERATIONS", 1)
+    monkeypatch.setattr(robust, "ROBUST", replace(robust.ROBUST, most_iterations=1))
     said = {
         finding.code: finding
         for finding in identify_samples(model, struck, base=base, method="huber").findings

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from asbuilt.identification.servo.block_fits import truncated_solution
 from asbuilt.identification.servo.servo_delay import _bounded
-from asbuilt.identification.servo.servo_scale import truncated_solution
 
 
 def test_truncated_solution_is_the_least_one_of_dependent_columns() -> None:

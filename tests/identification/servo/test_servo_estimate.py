@@ -14,7 +14,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
-from asbuilt.identification.servo.servo_delay_errors import servo_delay_errors
+from asbuilt.identification.servo.servo_delay import servo_delay_errors
 from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import servo_findings

@@ -122,7 +122,7 @@ FixedBase = Annotated[
 Out = Annotated[
     Path | None,
     typer.Option(
-        "--out", metavar="DIR", help="folder for the files to write", callback=writable_folder
+        "--out", "-o", metavar="DIR", help="folder for the files to write", callback=writable_folder
     ),
 ]
 Judges = Annotated[
@@ -131,14 +131,6 @@ Judges = Annotated[
         "--validate",
         metavar="LOG",
         help="a recording to validate on; repeat for more",
-    ),
-]
-Holdout = Annotated[
-    str | None,
-    typer.Option(
-        "--holdout",
-        metavar="RULE",
-        help="hold out for validation: blocks:5s:3 (every third 5 s block) or last:0.3",
     ),
 ]
 Unchecked = Annotated[

@@ -91,7 +91,7 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
         if name in groups:
             parameters += _parameters(groups[name])
         else:
-            parameters.append(_keyword(name, _with_short_out(hints[name]), parameter.default))
+            parameters.append(_keyword(name, hints[name], parameter.default))
     reads_robot = any("ROBOT" in _metavar(hint) for hint in hints.values())
     parameters += [p for p in _parameters(Common) if p.name != "trust_xacro" or reads_robot]
 
@@ -245,14 +245,6 @@ def _without_none(hint: Any) -> Any:
     if get_origin(hint) in (Union, types.UnionType):
         kinds = [kind for kind in get_args(hint) if kind is not type(None)]
         return kinds[0] if len(kinds) == 1 else str
-    return hint
-
-
-def _with_short_out(hint: Any) -> Any:
-    """Give every `--out` its short form `-o`."""
-    for option in get_args(hint)[1:] if get_origin(hint) is Annotated else ():
-        if getattr(option, "default", None) == "--out":
-            option.param_decls = ("-o",)
     return hint
 
 

@@ -48,8 +48,6 @@ DRIVE = "viscous,coulomb,offset"
 SEARCH_SECONDS = 15.0
 GRIPPER = LinkInertia.from_com(1.2, [0.01, -0.01, 0.07], np.diag([0.004, 0.0035, 0.0015]))
 """Body at the flange of the virtual robot that its description lacks."""
-JOINTS_EXPLAINED = 3
-"""Joints whose error the text explains; the report has all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +182,8 @@ def demo_text(story: Demo) -> str:
     consistent = "physically consistent" if result.physically_consistent else "NOT CONSISTENT"
     cad, built = held.metrics_cad, held.metrics_as_built
     causes = story.causes
-    worst = [int(k) for k in np.argsort(-causes.rms_cad)[:JOINTS_EXPLAINED]]
+    # Joints whose error the text explains; the report has all.
+    worst = [int(k) for k in np.argsort(-causes.rms_cad)[:3]]
     lines = [
         wrapped(
             f"{story.model.name} with a gripper of {GRIPPER.mass:g} kg, other links and friction"

@@ -34,8 +34,6 @@ BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
 CHANGED, SINCE = 7, 6
 """The robot that changes, and the day from which it carries the tool."""
 TOOL = LinkInertia.from_com(1.0, [0.0, 0.0, 0.06], np.diag([0.003, 0.003, 0.001]))
-DAILY = 0.02
-"""Standard deviation of viscous friction from day to day."""
 SECONDS, RATE = 12.0, 100.0
 
 
@@ -111,7 +109,8 @@ def _record(folder: Path, k: int, day: int) -> Path:
     rng = np.random.default_rng([k, day])
     values = np.array(robot.drive_values)
     names = [name for j in range(model.n_joints) for name in robot.drive.names(j + 1)]
-    warm = 1.0 + DAILY * rng.standard_normal()
+    # Standard deviation of viscous friction from day to day.
+    warm = 1.0 + 0.02 * rng.standard_normal()
     values[[name.startswith("Fv") for name in names]] *= warm
     robot = robot.with_drive(robot.drive, values)
     if k == CHANGED and day >= SINCE:

@@ -44,7 +44,11 @@ def demo(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", metavar="DIR", help="folder for the files to write", callback=writable_folder
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="folder for the files to write",
+            callback=writable_folder,
         ),
     ] = Path("asbuilt-demo"),
     as_json: AsJson = False,

@@ -7,9 +7,6 @@ import numpy as np
 from asbuilt.cli.hayat2015.reproduction import ReproducedParameter, Reproduction
 from asbuilt.tables import Cell, Column, Shown, Table, share
 
-VISIBLE = 5e-7
-"""Difference of a CAD value [SI] from which it is mentioned."""
-
 INERTIA = (("Ixx", 0, 0), ("Iyy", 1, 1), ("Izz", 2, 2), ("Ixy", 0, 1), ("Iyz", 1, 2), ("Izx", 0, 2))
 
 
@@ -94,7 +91,8 @@ def table_2(redone: Reproduction) -> Table:
 def _agreement(redone: Reproduction) -> tuple[str, str]:
     rows = list(enumerate(redone.parameters, start=1))
     misprints = [str(k) for k, row in rows if row.printed != row.corrected]
-    rounded = [str(k) for k, row in rows if abs(row.cad_ours - row.cad_printed) > VISIBLE]
+    # Difference of a CAD value [SI] from which it is mentioned.
+    rounded = [str(k) for k, row in rows if abs(row.cad_ours - row.cad_printed) > 5e-7]
     return (
         f"{agreement_sentence(redone)} The paper misprints the expressions of rows"
         f" {' and '.join(misprints)}.",

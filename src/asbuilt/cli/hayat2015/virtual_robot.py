@@ -34,8 +34,6 @@ WRIST_SHARE = 0.85
 """Mass and inertia of the wrist in multiples of CAD."""
 COULOMB = (0.4, 0.9, 0.3, 0.55, 0.2, 0.2, 0.1)
 """Coulomb friction of each joint [N m]."""
-VISCOUS = 0.05
-"""Viscous friction of every joint [N m s/rad]."""
 SENSORS = SensorNoise(
     encoder_counts=2.0**16,
     torque_noise=(0.18, 0.18, 0.11, 0.11, 0.11, 0.04, 0.04),
@@ -74,7 +72,8 @@ def record_virtual_robot(model: RobotModel) -> Recordings:
     rng = np.random.default_rng(SEED)
     bounds = _bounds(model)
     training, test = _training_motion(bounds, rng), _test_motion(bounds, rng)
-    values = np.column_stack([np.full(model.n_joints, VISCOUS), COULOMB]).ravel()
+    # Viscous friction of every joint [N m s/rad].
+    values = np.column_stack([np.full(model.n_joints, 0.05), COULOMB]).ravel()
     logs = [
         simulate_recording(
             robot,

@@ -72,7 +72,7 @@ class Worker:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,
-                    env=os.environ | SAFE_PATH,
+                    env=None,
                 )
             return self._process
 

@@ -20,12 +20,6 @@ from asbuilt.excitation.state_constraint import StateConstraint
 SOFTNESS = 0.1
 """Distance beyond the clearance over which a body matters to a design [m]."""
 
-SAMPLED = 200
-"""Random poses in which it is found which bodies always touch."""
-
-ALWAYS = 0.9
-"""Share of random poses above which a pair closer than the clearance touches by construction."""
-
 
 class CollisionGuard(StateConstraint):
     """Keep every pair of bodies at least the clearance c apart.
@@ -54,8 +48,11 @@ class CollisionGuard(StateConstraint):
             for a in range(len(links))
             if links[a] != ROOT
         ]
-        poses = random_states(MotionBounds.assumed(model), SAMPLED, np.random.default_rng(0))[0]
-        close = (self._distances(poses)[0] < bodies.clearance).mean(axis=0) > ALWAYS
+        # Random poses in which it is found which bodies always touch.
+        poses = random_states(MotionBounds.assumed(model), 200, np.random.default_rng(0))[0]
+        # Share of random poses above which a pair closer than the clearance touches by
+        # construction.
+        close = (self._distances(poses)[0] < bodies.clearance).mean(axis=0) > 0.9
         names = [model.root_link if link == ROOT else model.link_names[link] for link in links]
         names += [obstacle.name for obstacle in bodies.obstacles]
         self.left_out = tuple(

@@ -17,8 +17,6 @@ which one is a point.
 """
 GOLDEN = 0.6180339887498949
 """The golden section."""
-SECTIONS = 44
-"""Golden sections, after which the place on a segment is known to 1e-9 of its length."""
 
 
 def nearest_on_segments(
@@ -90,7 +88,8 @@ def _sections(start, along, half, points, distances, normals):
         inner, outer = 1.0 - GOLDEN, GOLDEN
         at_inner = _signed(x + inner * dx, y + inner * dy, z + inner * dz, half)
         at_outer = _signed(x + outer * dx, y + outer * dy, z + outer * dz, half)
-        for _ in range(SECTIONS):
+        # Golden sections, after which the place on a segment is known to 1e-9 of its length.
+        for _ in range(44):
             if at_inner <= at_outer:
                 high, outer, at_outer = outer, inner, at_inner
                 inner = high - GOLDEN * (high - low)

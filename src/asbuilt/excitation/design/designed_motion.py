@@ -26,14 +26,6 @@ from asbuilt.excitation.state_bounds import limited_model
 from asbuilt.excitation.state_constraint import StateConstraint, smallest_distance
 from asbuilt.excitation.torque_limit import PowerLimit
 
-UNDETERMINED = 1e-6
-"""Squared share of a parameter in the null space of the information, above which its standard error
-is infinite.
-"""
-
-EFFECT_RATE = 100.0
-"""Rate at which the torque of a motion is evaluated for `torque_effects` [Hz]."""
-
 
 @dataclass(frozen=True, slots=True)
 class DurationTrial:
@@ -144,7 +136,9 @@ class Design:
         kept = eigenvalues > len(eigenvalues) * np.finfo(float).eps * eigenvalues[-1]
         errors = size * np.sqrt((vectors[:, kept] ** 2 / eigenvalues[kept]).sum(axis=1))
         outside = (vectors[:, ~kept] ** 2).sum(axis=1)
-        return np.where(outside > UNDETERMINED, np.inf, errors)
+        # Squared share of a parameter in the null space of the information, above which its
+        # standard error is infinite.
+        return np.where(outside > 1e-6, np.inf, errors)
 
     @cached_property
     def torque_effects(self) -> Array:
@@ -154,7 +148,8 @@ class Design:
         Unlike a relative error it is defined for parameters near zero.
         """
         drive, values = described_drive(self.model)
-        state = self.motion.at(self.motion.sample_times(EFFECT_RATE))
+        # Rate at which the torque of a motion is evaluated for `torque_effects` [Hz].
+        state = self.motion.at(self.motion.sample_times(100.0))
         rigid = inverse_dynamics(self.model, *state)
         shares = self.model.motor_shares
         friction = drive_torque(drive, values, *state, load=rigid, shares=shares)

@@ -15,12 +15,9 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.excitation.design.interior_point import Optimum
-from asbuilt.excitation.design.process_pool import Pool
+from asbuilt.excitation.design.process_pool import SearchPool
 
 Task = TypeVar("Task")
-
-POLL = 0.2
-"""Interval at which progress is reported and the deadline checked [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +94,7 @@ def search_all(
     search: Callable[[Task], Candidate],
     deadline: Deadline,
     *,
-    pool: Pool[Task, Candidate] | None = None,
+    pool: SearchPool[Task, Candidate] | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> list[Candidate]:
     """Return the candidates of all tasks, searched here and in a pool, best first.
@@ -126,7 +123,8 @@ def search_all(
                     pending[future] = task
                 if not pending:
                     break
-                for future in wait(pending, timeout=POLL, return_when=FIRST_COMPLETED).done:
+                # Interval at which progress is reported and the deadline checked [s].
+                for future in wait(pending, timeout=0.2, return_when=FIRST_COMPLETED).done:
                     task = pending.pop(future)
                     if future is not own and future.exception() is not None:
                         waiting.appendleft(task)

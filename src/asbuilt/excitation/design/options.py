@@ -50,10 +50,6 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(name for name in text.split(",") if name.strip())
 
 
-LONGEST = 3600.0
-"""Longest motion that is designed [s]."""
-
-
 @dataclass(frozen=True)
 class DesignOptions:
     """Configure the design of a motion.
@@ -116,12 +112,13 @@ class DesignOptions:
         "harmonics, control points, way points or poses (default: by duration and limits)",
         range=Range(2, 200),
     )
+    # 3600.0: longest motion that is designed [s].
     duration: float | Literal["auto"] = option(
         20.0,
         "S",
         "duration, or auto: as short as the precision allows",
         parse=_duration,
-        range=Range(0.01, LONGEST, "s"),
+        range=Range(0.01, 3600.0, "s"),
     )
     precision: float = option(
         0.002,

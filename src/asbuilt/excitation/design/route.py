@@ -18,9 +18,6 @@ from asbuilt.excitation.motions.pacing import paced_moves, violated
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
 from asbuilt.excitation.state_constraint import StateConstraint
 
-STRIDE = 0.01
-"""Largest move of a joint between poses that are checked along a segment [rad or m]."""
-
 NODES, NEIGHBOURS = 1000, 12
 """Most poses of a roadmap, and neighbours to which each is connected."""
 
@@ -158,7 +155,8 @@ def segments_free(
     nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.bool_]:
     """Return whether the straight segment between each pair of nodes is free of collisions."""
-    counts = [2 + int(np.abs(nodes[i] - nodes[j]).max() / STRIDE) for i, j in pairs]
+    # Largest move of a joint between poses that are checked along a segment [rad or m].
+    counts = [2 + int(np.abs(nodes[i] - nodes[j]).max() / 0.01) for i, j in pairs]
     places = np.vstack(
         [
             nodes[i] + np.linspace(0, 1, count)[:, None] * (nodes[j] - nodes[i])

@@ -21,7 +21,7 @@ from asbuilt.excitation.design.multistart import (
     search_all,
 )
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.process_pool import Pool
+from asbuilt.excitation.design.process_pool import SearchPool
 from asbuilt.excitation.design.program import DesignProgram, Objective
 from asbuilt.excitation.information.information import mean_information
 from asbuilt.excitation.limits import MotionBounds
@@ -143,7 +143,7 @@ class DesignSearch:
 
     def run(
         self,
-        pool: Pool[Task, Candidate] | None,
+        pool: SearchPool[Task, Candidate] | None,
         progress: Callable[[SearchProgress], None] | None,
     ) -> list[Candidate]:
         """Return the candidates, best first, of all rounds for which there is time."""
@@ -168,7 +168,7 @@ class DesignSearch:
         first: int,
         size: int,
         length: int,
-        pool: Pool[Task, Candidate] | None,
+        pool: SearchPool[Task, Candidate] | None,
         report: Callable[[int, float, SearchProgress], None],
     ) -> list[Candidate]:
         """Return the candidates of one round, best first; its searches are numbered from `first`.

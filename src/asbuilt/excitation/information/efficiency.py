@@ -24,12 +24,6 @@ from asbuilt.excitation.torque_limit import TorqueLimit
 Limits = tuple[tuple[float, ...], ...]
 """Lower, upper, velocity, acceleration and torque limits of the joints."""
 
-MOST_SAMPLES = 20000
-"""Most samples of a recording that are used; of longer ones every second, third, ..."""
-
-ROUNDS = 3
-"""Rounds of the bound for a recording, accurate to a few per cent."""
-
 
 class JointStates(Protocol):
     """Joint states `q`, `qd`, `qdd` (N, n), such as the samples of a recording."""
@@ -108,7 +102,8 @@ def information_efficiency(
     Limits that the description lacks are those of `MotionBounds.assumed`; all are widened to the
     states recorded. Long recordings are thinned evenly. Raises `UsageError` without samples.
     """
-    step = max(1, -(-len(samples.q) // MOST_SAMPLES))
+    # Most samples of a recording that are used; of longer ones every second, third, ...
+    step = max(1, -(-len(samples.q) // 20000))
     q, qd, qdd = (
         np.ascontiguousarray(x[::step], dtype=np.float64)
         for x in (samples.q, samples.qd, samples.qdd)
@@ -167,6 +162,7 @@ def _bound(
         acceleration=acceleration,
     )
     with one_blas_thread():
+        # Rounds of the bound for a recording, accurate to a few per cent.
         return base, information_bound(
-            model, Information.of(model, base), limits, torque=torque, rounds=ROUNDS
+            model, Information.of(model, base), limits, torque=torque, rounds=3
         )

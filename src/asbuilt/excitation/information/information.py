@@ -20,19 +20,24 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import read_only
 
-SIGN_WIDTH = 0.02
-"""Width, relative to the velocity limit, over which `tanh(qd / width)` smooths drive columns that
-jump with the sign of velocity while a motion is designed; reports use the exact columns.
-"""
 
-STEP = 1e-6
-"""Step of the central differences through drive columns."""
+@dataclass(frozen=True, slots=True)
+class Smoothing:
+    """Hold how drive columns that jump with the sign of the velocity are evaluated."""
 
-SMALLEST_SPEED = 1e-12
-"""Speed at which a column is evaluated just before and after standstill [rad/s or m/s]."""
+    sign_width: float = 0.02
+    """Width, relative to the velocity limit, over which `tanh(qd / width)` smooths drive columns
+    that jump with the sign of velocity while a motion is designed; reports use the exact
+    columns."""
+    step: float = 1e-6
+    """Step of the central differences through drive columns."""
+    smallest_speed: float = 1e-12
+    """Speed at which a column is evaluated just before and after standstill [rad/s or m/s]."""
+    least_jump: float = 1e-3
+    """Change across standstill above which a drive column jumps there."""
 
-LEAST_JUMP = 1e-3
-"""Change across standstill above which a drive column jumps there."""
+
+SMOOTHING = Smoothing()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +80,7 @@ class Information:
             model,
             base,
             read_only(np.broadcast_to(sigma, (model.n_joints,))),
-            read_only(SIGN_WIDTH * velocity),
+            read_only(SMOOTHING.sign_width * velocity),
         )
 
     @cached_property
@@ -146,10 +151,10 @@ class Information:
             for order in self._drive_arguments:
                 up, down = (
                     [x + step if i == order else x for i, x in enumerate(state)]
-                    for step in (STEP, -STEP)
+                    for step in (SMOOTHING.step, -SMOOTHING.step)
                 )
                 slope = self._drive_columns(up) - self._drive_columns(down)
-                through = np.einsum("csk,csk->sk", given, slope) / (2 * STEP)
+                through = np.einsum("csk,csk->sk", given, slope) / (2 * SMOOTHING.step)
                 if order < 3:
                     slopes[order][...] += through
                 else:
@@ -179,7 +184,7 @@ class Information:
         columns = self._exact_drive_columns(state)
         jumps = self._jumps
         if np.any(jumps):
-            speed = np.abs(state[1]) + SMALLEST_SPEED
+            speed = np.abs(state[1]) + SMOOTHING.smallest_speed
             ahead, behind = (
                 self._exact_drive_columns([state[0], v, *state[2:]])[jumps] for v in (speed, -speed)
             )
@@ -226,7 +231,7 @@ class Information:
             )
             for v in (1e-9, -1e-9)
         )
-        return np.asarray(np.any(np.abs(ahead - behind) > LEAST_JUMP, axis=(1, 2)))
+        return np.asarray(np.any(np.abs(ahead - behind) > SMOOTHING.least_jump, axis=(1, 2)))
 
     @cached_property
     def _drive_arguments(self) -> tuple[int, ...]:

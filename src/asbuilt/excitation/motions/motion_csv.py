@@ -25,9 +25,6 @@ from asbuilt.untrusted import TABLE_LIMIT, read_bytes, reason
 PREFIXES = ("q_", "qd_", "qdd_")
 """Column names are a prefix and a joint name."""
 
-SMALLEST_STEP = 0.01
-"""The last step to the end of a motion is no shorter than this part of the sampling period."""
-
 
 class SampledMotion(QuinticMotion):
     """Move through samples of position, velocity and acceleration.
@@ -133,11 +130,9 @@ def times_to_end(motion: Motion, rate: float) -> Array:
     after these.
     """
     t = motion.sample_times(rate)
-    return (
-        np.append(t, motion.duration)
-        if motion.duration - t[-1] > max(SMALLEST_STEP / rate, 1e-6)
-        else t
-    )
+    # 0.01: the last step to the end of a motion is no shorter than this part of the sampling
+    # period.
+    return np.append(t, motion.duration) if motion.duration - t[-1] > max(0.01 / rate, 1e-6) else t
 
 
 def _numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array:

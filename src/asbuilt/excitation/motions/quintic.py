@@ -18,9 +18,6 @@ PEAK_VELOCITY = 15.0 / 8.0
 PEAK_ACCELERATION = 10.0 / np.sqrt(3.0)
 """Largest acceleration of the rest-to-rest quintic over unit distance and time."""
 
-PEAK_JERK = 60.0
-"""Largest jerk of the rest-to-rest quintic over unit distance and time, at both ends."""
-
 
 class QuinticMotion(PiecewisePolynomial):
     """Move along one quintic per pair of neighbouring poses (Craig 2005, section 7.3).
@@ -134,11 +131,12 @@ class QuinticMotion(PiecewisePolynomial):
             )
         distance = np.abs(np.diff(q, axis=0))
         distance[distance <= STANDSTILL] = 0.0
+        # Largest jerk of the rest-to-rest quintic over unit distance and time, at both ends.
         steps = np.max(
             [
                 PEAK_VELOCITY * distance / v,
                 np.sqrt(PEAK_ACCELERATION * distance / a),
-                np.cbrt(PEAK_JERK * distance / j),
+                np.cbrt(60.0 * distance / j),
             ],
             axis=(0, 2),
         )

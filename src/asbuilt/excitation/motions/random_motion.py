@@ -13,9 +13,6 @@ from asbuilt.excitation.motions.point_to_point import PointToPointMotion
 
 Seed = np.random.Generator | int | None
 
-TORQUE_RATE = 100.0
-"""Rate at which the torque of a random motion is checked [Hz]."""
-
 SHRINKAGE = 0.85
 """By what factor amplitudes or accelerations are reduced each time the torque limit is exceeded."""
 
@@ -119,7 +116,8 @@ def random_point_to_point(
 def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
     if not np.any(np.isfinite(MotionBounds.of(model).torque)):
         return True
-    worst = check_motion(model, motion, TORQUE_RATE).worst["torque"]
+    # Rate at which the torque of a random motion is checked [Hz].
+    worst = check_motion(model, motion, 100.0).worst["torque"]
     return worst is None or worst.margin >= 1 - fraction
 
 

@@ -29,9 +29,6 @@ _END_DERIVATIVES: dict[tuple[int, str], tuple[int, ...]] = {
 SHARPNESS = 30.0
 """Exponent of the norm that approximates the maximum while times are improved."""
 
-ITERATIONS = 40
-"""Most iterations of that improvement."""
-
 
 class SplineMotion(PiecewisePolynomial):
     """Move along a spline through way points.
@@ -145,12 +142,13 @@ class SplineMotion(PiecewisePolynomial):
 
         start = np.log(steps)
         bounds = list(zip(start - np.log(4), start + np.log(4), strict=True))
+        # Most iterations of that improvement.
         found = minimize(
             smooth_duration,
             start,
             method="L-BFGS-B",
             bounds=bounds,
-            options={"maxiter": ITERATIONS},
+            options={"maxiter": 40},
         ).x
         scaled = [times(logs) * factors(logs).max() for logs in (start, found)]
         return cls.through(q, min(scaled, key=lambda t: float(t[-1])), degree=degree, ends=ends)

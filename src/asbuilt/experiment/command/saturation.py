@@ -9,16 +9,14 @@ from asbuilt.experiment.command.servo_torque import logged_velocity
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 
-SATURATED = 0.999
-"""Share of the torque limit from which the servo counts as saturated."""
-
 
 def saturated(recording: Recording) -> Mask:
     """Return where a joint's servo is at its torque limit, shape (N, n)."""
     if recording.servo is None:
         return np.zeros(recording.q.shape, dtype=np.bool_)
     limit = np.asarray(recording.servo.torque_limit)
-    slack = np.where(np.isfinite(limit), (1.0 - SATURATED) * limit, 0.0)
+    # Share of the torque limit from which the servo counts as saturated.
+    slack = np.where(np.isfinite(limit), (1.0 - 0.999) * limit, 0.0)
     low, high = recording.servo.bounds(logged_velocity(recording))
     return np.asarray((recording.tau >= high - slack) | (recording.tau <= low + slack))
 

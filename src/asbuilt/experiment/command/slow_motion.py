@@ -9,9 +9,6 @@ import numpy as np
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 
-FIRST_PERCENT = 1.0
-"""Percentile of the changes of position that is taken as one step of an encoder."""
-
 
 def direction_speeds(recording: Recording, cutoff: float) -> tuple[float, ...]:
     """Return the speed of each joint below which its direction is unknown [rad/s or m/s].
@@ -30,7 +27,8 @@ def direction_speeds(recording: Recording, cutoff: float) -> tuple[float, ...]:
     steps = []
     for change in changes.T:
         moved = change[np.isfinite(change) & (change > 1e-12 * np.nanmax(np.abs(recording.q)))]
-        steps.append(float(np.percentile(moved, FIRST_PERCENT)) if moved.size else 0.0)
+        # Percentile of the changes of position that is taken as one step of an encoder.
+        steps.append(float(np.percentile(moved, 1.0)) if moved.size else 0.0)
     return tuple(np.pi * cutoff * step for step in steps)
 
 

@@ -19,9 +19,6 @@ from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
-CALENDAR = 1e6
-"""Time [s] from which a clock counts from a date, not from the start of the recording."""
-
 
 def build_recording(
     table: LogTable,
@@ -255,7 +252,8 @@ def logged_times(
 def clock_origin(t: Array) -> float:
     """Return the first time of a clock that counts from a date, else zero."""
     finite = t[np.isfinite(t)]
-    return float(finite[0]) if finite.size and abs(finite[0]) > CALENDAR else 0.0
+    # Time [s] from which a clock counts from a date, not from the start of the recording.
+    return float(finite[0]) if finite.size and abs(finite[0]) > 1e6 else 0.0
 
 
 def _stacked(table: LogTable, names: tuple[str, ...], layout: Layout) -> Array:

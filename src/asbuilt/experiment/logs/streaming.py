@@ -22,8 +22,6 @@ from asbuilt.experiment.logs.readers import (
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 
-DRAFTED = 2000
-"""Samples by which the draft of a sheet is made."""
 _STREAMED = ("position", "velocity", "acceleration", "torque", "command")
 
 
@@ -97,6 +95,7 @@ def stream_recording(
 
 def _first_rows(stream: LogStream, header: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
     """Return the first rows of all numeric columns, by which an error drafts a sheet."""
-    for _, frame in stream.frames(path, sheet, tuple(header.columns), DRAFTED):
+    # Samples by which the draft of a sheet is made.
+    for _, frame in stream.frames(path, sheet, tuple(header.columns), 2000):
         return replace(header, columns={name: numbers(frame[name]) for name in header.columns})
     return header

@@ -22,10 +22,6 @@ SHEET_UNITS: Mapping[str, float] = MappingProxyType(
 UNITS: Mapping[str, float] = MappingProxyType(
     {**SHEET_UNITS, "counts of 4096 per turn": 2048 / math.pi}
 )
-GAP = 5.0
-"""Steps without a sample beyond which the log has a gap, which is left out."""
-EQUAL = 0.99
-"""Share of the changes of a command from which it is the position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +135,8 @@ def _motion(model: RobotModel, recording: Recording) -> _Motion | None:
     step = max(1 / THRESHOLDS.rate, float(np.median(np.diff(t))))
     at = np.arange(t[0], t[-1], step)
     last = np.searchsorted(t, at, side="right") - 1
-    logged = at - t[last] <= GAP * step
+    # Steps without a sample beyond which the log has a gap, which is left out.
+    logged = at - t[last] <= 5.0 * step
     at, last = at[logged], last[logged]
     if at.size * step < 4 * THRESHOLDS.searched:
         return None
@@ -183,7 +180,8 @@ def _is_position(recording: Recording, moving: list[int]) -> bool:
     here, next_one = (
         np.all(np.abs(u[changes] - q[changes + ahead]) <= size, axis=1) for ahead in (0, 1)
     )
-    return changes.size > 0 and bool(max(here.mean(), next_one.mean()) > EQUAL)
+    # Share of the changes of a command from which it is the position.
+    return changes.size > 0 and bool(max(here.mean(), next_one.mean()) > 0.99)
 
 
 def _constant(motion: _Motion) -> Iterator[Finding]:

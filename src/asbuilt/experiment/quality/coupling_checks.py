@@ -34,8 +34,6 @@ class CouplingThresholds:
 THRESHOLDS = CouplingThresholds()
 BLOCKS = 10
 """Time blocks from whose scatter the error of a lag follows."""
-SURE = 3.0
-"""Standard errors beyond which a lag is one."""
 
 
 def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
@@ -130,10 +128,11 @@ def encoder_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
         encoder_lag(recording.t, own, other)
         for own, other in zip(recording.q.T, recording.extra[second].T, strict=True)
     ]
+    # Standard errors beyond which a lag is one.
     lagging = [
         (joint, each)
         for joint, each in zip(model.joints, found, strict=True)
-        if each is not None and abs(each.value) > SURE * each.std_error
+        if each is not None and abs(each.value) > 3.0 * each.std_error
     ]
     if not lagging:
         return

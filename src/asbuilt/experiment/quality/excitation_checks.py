@@ -18,8 +18,6 @@ _WEAK_CONDITION = 100.0
 """Scaled condition number from which a motion excites poorly; designed motions have 10 to 50."""
 _RANK_TOLERANCE = 1e-7
 """Singular value or column norm, relative to the largest, below which it counts as zero."""
-_MOST_SAMPLES = 800
-"""Number of samples used; more do not change the condition number noticeably."""
 
 
 def excitation_findings(
@@ -49,7 +47,8 @@ def excitation_findings(
             Cure("record at least ten seconds without gaps"),
         )
         return
-    rows = motion.thinned(_MOST_SAMPLES)
+    # Number of samples used; more do not change the condition number noticeably.
+    rows = motion.thinned(800)
     states = (motion.q[rows], motion.qd[rows], motion.qdd[rows])
     observed = observation_matrix(model, *states, drive=base.drive, columns=base.columns)
     lengths = np.linalg.norm(observed, axis=0)

@@ -23,10 +23,6 @@ CREDIBLE = {
     "acceleration": 1e9,
 }
 """Largest value that any robot could log, in any unit of the quantity."""
-LIMIT_MARGIN = 0.01
-"""Distance beyond its limits [rad or m] at which a joint counts as outside them."""
-FULL_TORQUE = 0.99
-"""Share of its limit from which a torque counts as saturated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +118,8 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     """
     n = model.n_joints
     lower, upper = position_limits(model)
-    full = FULL_TORQUE * np.array([joint.limits.torque for joint in model.joints])
+    # Share of its limit from which a torque counts as saturated.
+    full = 0.99 * np.array([joint.limits.torque for joint in model.joints])
     positions, torques, moments = Extremes.none(n), Extremes.none(n), PositionMoments.none(n)
     outside, saturated = Exceedance.none(n), Exceedance.none(n)
     times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
@@ -153,7 +150,8 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         size = np.abs(tau[not_repeated])
         positions, moments = positions.with_more(q), moments.with_more(q)
         torques = torques.with_more(tau[not_repeated])
-        outside = outside.with_more(excess, excess > LIMIT_MARGIN, q, rows)
+        # Distance beyond its limits [rad or m] at which a joint counts as outside them.
+        outside = outside.with_more(excess, excess > 0.01, q, rows)
         saturated = saturated.with_more(size, size >= full, tau[not_repeated], rows[not_repeated])
         begin += chunk.n_samples
     if first is None:

@@ -18,9 +18,6 @@ from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.quality.velocity_checks import velocity_findings
 from asbuilt.findings import Cure, Finding, joined
 
-MILLIMETRE = 1e-3
-"""A millimetre in metres."""
-
 
 @dataclass(frozen=True, slots=True)
 class DegreeThresholds:
@@ -202,7 +199,8 @@ def _in_millimetres(model: RobotModel, recording: FirstPass) -> Iterator[Finding
         bound = bound if np.isfinite(bound) else stretched_length(model)
         low, high = recording.position_range.low[k], recording.position_range.high[k]
         furthest = float(max(abs(low), abs(high)))
-        within = furthest * MILLIMETRE < DEGREES.as_degrees * bound
+        # A millimetre in metres.
+        within = furthest * 1e-3 < DEGREES.as_degrees * bound
         if joint.is_revolute or not (furthest > DEGREES.position * bound and within):
             continue
         yield Finding(

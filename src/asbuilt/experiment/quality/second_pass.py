@@ -12,8 +12,6 @@ from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.first_pass import FirstPass, as_modelled, credible
 from asbuilt.experiment.recording import Recording
 
-_FEW = 20
-"""Number of torques that are not repeated below which there is no plateau."""
 _NEAR = 0.05
 """Distance from an extreme, as a share of the torque range, that counts as near it."""
 
@@ -90,7 +88,8 @@ def second_pass(
 
 def _plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
     low, high = float(known.torque_range.low[joint]), float(known.torque_range.high[joint])
-    if known.torque_range.count[joint] < _FEW or high == low:
+    # Number of torques that are not repeated below which there is no plateau.
+    if known.torque_range.count[joint] < 20 or high == low:
         return ()
     return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))
 

@@ -14,8 +14,6 @@ from asbuilt.experiment.signal.parallel_filter import filtered_rows
 
 GAP_STEPS = 5.0
 """Multiple of the median time step from which a step is a gap."""
-_WINDOW = 0.15
-"""Width of the smoothing [s]."""
 _SEGMENT_SAMPLES, _MOST_SEGMENTS = 4000, 12
 """Samples per segment and number of segments; more do not change a finding."""
 
@@ -64,7 +62,8 @@ class UniformSegments:
             return None
         steps = np.diff(t)
         step = float(np.median(steps))
-        window = max(5, int(_WINDOW / step) | 1)
+        # 0.15: width of the smoothing [s].
+        window = max(5, int(0.15 / step) | 1)
         breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
         bounds = [
             (a, min(a + _SEGMENT_SAMPLES, stop))

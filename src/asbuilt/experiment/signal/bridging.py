@@ -10,11 +10,6 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.experiment.recording import Recording
 
-DEGREE = 5
-"""Degree of the polynomial; a sine at the cutoff makes less than one turn in its window."""
-FEWEST = 8
-"""Fewest samples on either side of a pause that the polynomial is fitted to."""
-
 
 def bridged(
     recording: Recording, rows: Indices, longest: float, pause: float
@@ -68,7 +63,8 @@ def bridged(
 
 def _around(t: Array, place: int, count: int, pause: float) -> slice:
     """Return the samples on either side of a pause, up to the next pause."""
-    width = max(FEWEST, count)
+    # Fewest samples on either side of a pause that the polynomial is fitted to.
+    width = max(8, count)
     first, last = max(place + 1 - width, 0), min(place + 1 + width, t.size)
     earlier = np.flatnonzero(np.diff(t[first : place + 1]) > pause)
     later = np.flatnonzero(np.diff(t[place + 1 : last]) > pause)
@@ -79,6 +75,7 @@ def _around(t: Array, place: int, count: int, pause: float) -> slice:
 def _local(t: Array, values: Array, times: Array) -> Array:
     """Return a polynomial through values (L, n) at other times (m, n)."""
     centre, half = float(times.mean()), max(float(np.ptp(t)) / 2.0, 1e-12)
-    degree = min(DEGREE, t.size - 1)
+    # Degree of the polynomial; a sine at the cutoff makes less than one turn in its window.
+    degree = min(5, t.size - 1)
     fit = np.linalg.lstsq(np.vander((t - centre) / half, degree + 1), values, rcond=None)[0]
     return np.asarray(np.vander((times - centre) / half, degree + 1) @ fit)

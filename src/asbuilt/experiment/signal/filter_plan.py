@@ -31,22 +31,32 @@ SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]
 FilteredMotion = tuple[Array, Array, Array]
 """q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
 
-LOWEST_RATE = 100.0
-"""Lowest rate [Hz] to which logs are thinned."""
-RATE_IN_CUTOFFS = 12.0
-"""Lowest rate to which logs are thinned, in position cutoffs."""
-PARALLEL_IN_CUTOFFS = 0.5
-"""Default cutoff of the parallel filter, in position cutoffs.
 
-There the low-pass of the positions, which the torque does not pass, is within 0.2 % of 1; at its
-own cutoff it takes 30 % of the accelerations, and inertias would grow by as much to make up.
-"""
-LOWEST_PARALLEL = 3.0
-"""Default cutoff of the parallel filter [Hz] below which friction and rests of the motion go."""
-OUTPUT_RATE_IN_CUTOFFS = 4.0
-"""Default rate after the parallel filter, in its cutoffs."""
-EXACT = 1e-12
-"""Share of its peak below which the impulse response of the low-pass counts as zero."""
+@dataclass(frozen=True, slots=True)
+class FilterRates:
+    """Hold the rates of filters and logs, most of them in cutoffs."""
+
+    lowest_rate: float = 100.0
+    """Lowest rate [Hz] to which logs are thinned."""
+    rate_in_cutoffs: float = 12.0
+    """Lowest rate to which logs are thinned, in position cutoffs."""
+    parallel_in_cutoffs: float = 0.5
+    """Default cutoff of the parallel filter, in position cutoffs.
+
+    There the low-pass of the positions, which the torque does not pass, is within 0.2 % of 1; at
+    its own cutoff it takes 30 % of the accelerations, and inertias would grow by as much to make
+    up.
+    """
+    lowest_parallel: float = 3.0
+    """Default cutoff of the parallel filter [Hz] below which friction and rests of the
+    motion go."""
+    output_rate_in_cutoffs: float = 4.0
+    """Default rate after the parallel filter, in its cutoffs."""
+    exact: float = 1e-12
+    """Share of its peak below which the impulse response of the low-pass counts as zero."""
+
+
+RATES = FilterRates()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,23 +98,23 @@ class FilterPlan:
                 settling_samples(
                     cutoff, rate, order=chain.order, corrected=chain.corrected, tolerance=tolerance
                 )
-                for tolerance in (0.01, EXACT)
+                for tolerance in (0.01, RATES.exact)
             )
         margin = margin if chain.trimmed else 0
         if not chain.parallel:
             return cls(chain, rate, total or 1, None, None, margin, exact)
         low = chain.parallel_cutoff or min(
-            max(PARALLEL_IN_CUTOFFS * cutoff, min(LOWEST_PARALLEL, cutoff)),
+            max(RATES.parallel_in_cutoffs * cutoff, min(RATES.lowest_parallel, cutoff)),
             0.5 * rate / STOP_BAND_EDGE,
         )
-        thinning = max(1, int(rate / max(LOWEST_RATE, RATE_IN_CUTOFFS * cutoff) + 1e-9))
+        thinning = max(1, int(rate / max(RATES.lowest_rate, RATES.rate_in_cutoffs * cutoff) + 1e-9))
         if total is not None:
             thinning = max(factor for factor in range(1, thinning + 1) if total % factor == 0)
             factor = total // thinning
             if chain.parallel_cutoff is None:
                 low = min(low, 0.5 * rate / total / STOP_BAND_EDGE)
         else:
-            factor = max(1, int(rate / thinning / (OUTPUT_RATE_IN_CUTOFFS * low)))
+            factor = max(1, int(rate / thinning / (RATES.output_rate_in_cutoffs * low)))
         anti_alias = (
             design_parallel_filter(0.25 * rate / thinning, rate, thinning) if thinning > 1 else None
         )

@@ -19,8 +19,6 @@ STOP_BAND = 60.0
 """Attenuation of the stop band [dB]."""
 STOP_BAND_EDGE = 1.75
 """Lower edge of the stop band, in cutoffs."""
-TRANSITION = 1.2
-"""Width of the transition band about the -6 dB point, which is near 1.12 cutoffs, in cutoffs."""
 
 EIGHT = 8
 """Rows that are filtered together."""
@@ -129,7 +127,9 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
         )
     ratio = cutoff / rate
     beta = signal.kaiser_beta(STOP_BAND)
-    half = int(np.ceil(0.5 * (STOP_BAND - 7.95) / (2.285 * 2.0 * np.pi * TRANSITION * ratio)))
+    # 1.2: width of the transition band about the -6 dB point, which is near 1.12 cutoffs, in
+    # cutoffs.
+    half = int(np.ceil(0.5 * (STOP_BAND - 7.95) / (2.285 * 2.0 * np.pi * 1.2 * ratio)))
     k = np.arange(-half, half + 1)
     window = np.kaiser(2 * half + 1, beta)
 

@@ -23,8 +23,6 @@ SHORTEST = 8
 """Number of samples below which a segment is dropped."""
 HALF_WIDTH = 16
 """Samples on either side that a shift by a fraction of a sample takes."""
-KAISER = 8.0
-"""Shape of its window: side lobes of -80 dB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,9 +369,8 @@ def _shifted(x: Array, steps: float) -> Array:
     if abs(part) < 1e-9:
         return padded[begin + HALF_WIDTH : begin + HALF_WIDTH + x.size]
     offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
-    window = np.i0(
-        KAISER * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0))
-    )
+    # Shape of its window: side lobes of -80 dB.
+    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0)))
     taps = np.sinc(offsets - part) * window
     return np.convolve(
         padded[begin : begin + x.size + 2 * HALF_WIDTH], (taps / taps.sum())[::-1], "valid"

@@ -9,16 +9,11 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.kernels.compilation import kernel
 
-SLOW = 0.003
-"""Share of a joint's top speed below which it may be at rest."""
 SLOWEST = 0.0015
 """Share of the fastest joint's top speed below which any joint may be at rest, but for `MOVING`."""
 MOVING = 0.006
 """Share of its own top speed beyond which a joint moves, however slow beside others: a finger in
 m/s beside joints in rad/s."""
-SWEPT = 10.0
-"""Position range, in top speeds over the cutoff [rad/s], from which a joint moves at all; noise
-below the cutoff has about 5, a sine of a fifth of its frequency 10."""
 PAUSE = 0.5
 """Least duration [s] of a rest; a reversal is shorter."""
 
@@ -30,9 +25,12 @@ def standstill_speeds(motions: Sequence[tuple[Array, Array]], cutoff: float) -> 
     """
     top = np.max([np.quantile(np.abs(qd), 0.99, axis=0) for _, qd in motions], axis=0)
     swept = np.max([np.ptp(q, axis=0) for q, _ in motions], axis=0)
-    moves = swept * 2.0 * np.pi * cutoff > SWEPT * top
+    # 10.0: position range, in top speeds over the cutoff [rad/s], from which a joint moves at all;
+    # noise below the cutoff has about 5, a sine of a fifth of its frequency 10.
+    moves = swept * 2.0 * np.pi * cutoff > 10.0 * top
     least = np.where(moves, np.minimum(SLOWEST * top.max(), MOVING * top), SLOWEST * top.max())
-    return tuple(np.maximum(SLOW * top, least).tolist())
+    # Share of a joint's top speed below which it may be at rest.
+    return tuple(np.maximum(0.003 * top, least).tolist())
 
 
 def at_rest(qd: Array, speeds: Sequence[float], rate: float) -> Mask:

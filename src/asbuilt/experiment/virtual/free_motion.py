@@ -19,20 +19,28 @@ from asbuilt.findings import Cure
 
 Release = Literal["drop", "step", "free"]
 
-STEP = 0.2
-"""Size of a step of each joint [rad]; a quarter of it [m] for sliding joints."""
+
+@dataclass(frozen=True, slots=True)
+class FreeMotionRules:
+    """Hold how a free motion starts and is integrated."""
+
+    step: float = 0.2
+    """Size of a step of each joint [rad]; a quarter of it [m] for sliding joints."""
+    speed: float = 0.3
+    """Speed at which a free motion starts, as a fraction of each joint's velocity limit."""
+    longest: float = 3600.0
+    """Longest free motion [s]."""
+    timestep: float = 5e-4
+    """Step of the integrator [s]."""
+    logged: int = 2
+    """Steps of the integrator per sample that is kept."""
+    diverged: float = 1e4
+    """Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
+
+
+FREE = FreeMotionRules()
 STEP_CONTROLLER = PositionController(bandwidth=3.0, feedforward="gravity")
 """The controller of a step: gravity and a pole pair at 3 Hz, according to the model itself."""
-SPEED = 0.3
-"""Speed at which a free motion starts, as a fraction of each joint's velocity limit."""
-LONGEST = 3600.0
-"""Longest free motion [s]."""
-TIMESTEP = 5e-4
-"""Step of the integrator [s]."""
-LOGGED = 2
-"""Steps of the integrator per sample that is kept."""
-DIVERGED = 1e4
-"""Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +127,7 @@ def run_free(
         raise UsageError(
             f"there is no release {release!r}; there are {', '.join(get_args(Release))}"
         )
-    if not (np.isfinite(duration) and duration >= 2 * TIMESTEP * LOGGED):
+    if not (np.isfinite(duration) and duration >= 2 * FREE.timestep * FREE.logged):
         raise UsageError(f"the duration must be a positive number of seconds, got {duration}")
     further = sorted({key for joint in model.joints for key in joint.drive.terms})
     if further:
@@ -136,13 +144,15 @@ def run_free(
     if release == "free":
         viscous, coulomb, offset = np.zeros((3, n))
     pose = _state(start, n, "start") if start is not None else heaviest_pose(model)
-    rates = SPEED * MotionBounds.assumed(model).velocity if release == "free" else np.zeros(n)
+    rates = FREE.speed * MotionBounds.assumed(model).velocity if release == "free" else np.zeros(n)
     rates = rates if speed is None else _state(speed, n, "speed")
-    physics = Physics(model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=TIMESTEP)
-    if duration > LONGEST:
-        raise UsageError(f"the duration must be at most {LONGEST:g} s, got {duration:g}")
-    samples = round(duration / (TIMESTEP * LOGGED)) + 1
-    t: Array = np.arange(samples, dtype=np.float64) * TIMESTEP * LOGGED
+    physics = Physics(
+        model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=FREE.timestep
+    )
+    if duration > FREE.longest:
+        raise UsageError(f"the duration must be at most {FREE.longest:g} s, got {duration:g}")
+    samples = round(duration / (FREE.timestep * FREE.logged)) + 1
+    t: Array = np.arange(samples, dtype=np.float64) * FREE.timestep * FREE.logged
     q, qd, tau = np.empty((3, samples, n))
     goal, limit = (
         pose + _step(model, pose),
@@ -152,7 +162,7 @@ def run_free(
     with physics.quiet():
         for k in range(samples):
             q[k], qd[k] = physics.state
-            if not np.all(np.abs(qd[k]) < DIVERGED):
+            if not np.all(np.abs(qd[k]) < FREE.diverged):
                 raise InertiaError(
                     f"the simulation of {model.name} diverges at t = {t[k]:.3g} s: its mass matrix"
                     " is not positive definite there",
@@ -166,7 +176,7 @@ def run_free(
                 if release == "step"
                 else 0.0
             )
-            physics.advance(tau[k] - offset, LOGGED)
+            physics.advance(tau[k] - offset, FREE.logged)
     ones = np.ones((samples, 1))
     _, friction = physics.accelerations(
         q, qd, tau - offset, coulomb=coulomb * ones, viscous=viscous * ones
@@ -203,7 +213,7 @@ def _pull(model: RobotModel, armature: Array, q: Array, qd: Array, goal: Array) 
 def _step(model: RobotModel, pose: Array) -> Array:
     """Return a step of every joint towards the middle of its range, shape (n,)."""
     bounds = MotionBounds.assumed(model)
-    size = np.array([STEP if joint.is_revolute else STEP / 4 for joint in model.joints])
+    size = np.array([FREE.step if joint.is_revolute else FREE.step / 4 for joint in model.joints])
     return np.where(pose < 0.5 * (bounds.lower + bounds.upper), size, -size)
 
 

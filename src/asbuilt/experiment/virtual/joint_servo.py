@@ -14,9 +14,6 @@ from asbuilt.excitation.motions.motion import Trajectory
 from asbuilt.experiment.virtual.drive_train import DriveTrain
 from asbuilt.experiment.virtual.sensors import PerJoint, per_joint
 
-ROUNDING = 1e-6
-"""Share of a period by which the time of a tick may be off by rounding."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointServo:
@@ -63,7 +60,8 @@ class JointServo:
         `rate` is that of the samples [Hz], of which the ticks are a multiple.
         """
         every = round(1.0 / rate / (command.t[1] - command.t[0]))
-        sample = np.floor((command.t - self.delay) * rate + ROUNDING).astype(int)
+        # Share of a period by which the time of a tick may be off by rounding.
+        sample = np.floor((command.t - self.delay) * rate + 1e-6).astype(int)
         held = command.q[every * np.maximum(sample, 0)]
         return Trajectory(command.t, held, np.zeros(held.shape), np.zeros(held.shape))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -24,18 +24,26 @@ from asbuilt.errors import InertiaError, MissingExtraError
 _AXES = rotation_from_rpy([0.3, 0.2, 0.1])
 PLACEHOLDER = LinkInertia.from_com(1.0, [0.1, 0.2, 0.3], _AXES @ np.diag([2.0, 3.0, 4.0]) @ _AXES.T)
 """Inertia compiled in place of an inconsistent one, then overwritten; its axes are general."""
-FRICTION_IMPEDANCE = 0.9999
-"""Share of the force that stops a joint which MuJoCo applies as dry friction; 1 is rigid."""
-FRICTION_TIME = 0.002
-"""Time constant of a joint that dry friction stops [s]."""
-RIGID = 1e-4
-"""Share of MuJoCo's softness that couplings of joints keep: accelerations to 1e-4; dry friction of
-the joint that is followed, which shares it, needs no less.
-"""
-SINGULAR = 1e-12
-"""Ratio of the eigenvalues of a mass matrix below which it is singular."""
-STABLE = 2.0
-"""Largest product of step and decay rate; fourth-order Runge-Kutta is stable up to 2.79."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stiffness:
+    """Hold how stiff the constraints of MuJoCo are, and which steps are stable."""
+
+    friction_impedance: float = 0.9999
+    """Share of the force that stops a joint which MuJoCo applies as dry friction; 1 is rigid."""
+    friction_time: float = 0.002
+    """Time constant of a joint that dry friction stops [s]."""
+    rigid: float = 1e-4
+    """Share of MuJoCo's softness that couplings of joints keep: accelerations to 1e-4; dry friction
+    of the joint that is followed, which shares it, needs no less."""
+    singular: float = 1e-12
+    """Ratio of the eigenvalues of a mass matrix below which it is singular."""
+    stable: float = 2.0
+    """Largest product of step and decay rate; fourth-order Runge-Kutta is stable up to 2.79."""
+
+
+STIFFNESS = Stiffness()
 
 
 def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
@@ -117,8 +125,14 @@ class Physics:
         )
         self._order = self._every[:n]
         self._shares = model.link_rates(np.eye(n)).T
-        self.compiled.eq_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
-        self.compiled.eq_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
+        self.compiled.eq_solimp[:] = [
+            STIFFNESS.friction_impedance,
+            STIFFNESS.friction_impedance,
+            0.001,
+            0.5,
+            2.0,
+        ]
+        self.compiled.eq_solref[:] = [max(STIFFNESS.friction_time, 2 * timestep), 1.0]
         self._bodies = [
             ids(self.compiled, self._mujoco.mjtObj.mjOBJ_BODY, name) for name in model.link_names
         ]
@@ -130,10 +144,19 @@ class Physics:
             np.broadcast_to(np.asarray(coulomb, dtype=np.float64), (n,)),
             np.broadcast_to(np.asarray(viscous, dtype=np.float64), (n,)),
         )
-        self.compiled.dof_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
-        self.compiled.dof_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
+        self.compiled.dof_solimp[:] = [
+            STIFFNESS.friction_impedance,
+            STIFFNESS.friction_impedance,
+            0.001,
+            0.5,
+            2.0,
+        ]
+        self.compiled.dof_solref[:] = [max(STIFFNESS.friction_time, 2 * timestep), 1.0]
         self._parts = max(
-            1, math.ceil(timestep * self._fastest_decay(self._sound_mass_matrices()) / STABLE)
+            1,
+            math.ceil(
+                timestep * self._fastest_decay(self._sound_mass_matrices()) / STIFFNESS.stable
+            ),
         )
         self.compiled.opt.timestep = timestep / self._parts
         self.data: Any = self._mujoco.MjData(self.compiled)
@@ -142,8 +165,8 @@ class Physics:
         leading = np.flatnonzero(np.any(model.link_shares[n:] != 0.0, axis=0))
         coupled = [*range(n, model.n_links), *leading]
         by_tendon = self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_TENDON
-        self.compiled.tendon_invweight0[self.compiled.eq_obj1id[by_tendon]] *= RIGID
-        self.compiled.dof_invweight0[self._every[coupled]] *= RIGID
+        self.compiled.tendon_invweight0[self.compiled.eq_obj1id[by_tendon]] *= STIFFNESS.rigid
+        self.compiled.dof_invweight0[self._every[coupled]] *= STIFFNESS.rigid
 
     def _take_inertias(self, compiled: RobotModel) -> None:
         for k, link, placeholder in zip(
@@ -177,7 +200,7 @@ class Physics:
         )
         for M in masses:
             eigenvalues, vectors = np.linalg.eigh(M)
-            if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
+            if eigenvalues[0] <= STIFFNESS.singular * eigenvalues[-1]:
                 worst = self.model.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
                 raise InertiaError(
                     f"the mass matrix of {self.model.name} is not positive definite (smallest"

@@ -14,11 +14,6 @@ from asbuilt.experiment.virtual.drive_train import DriveTrain
 from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.findings import Cure
 
-SETTLING = 0.5
-"""Duration of the first pose before the recording starts [s]."""
-LOST = 1.5
-"""Distance from the command [rad or m] at which the simulation is stopped."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedMotion:
@@ -69,7 +64,8 @@ def track(
     names = ("viscous", "stiction", "offset", "armature", "backlash", "engagement")
     viscous, stiction, offset, armature, backlash, engagement = (train.of(x, n) for x in names)
     law = train.friction_law(n)
-    settling = round(SETTLING / (t[1] - t[0])) if not np.any(command.qd[0]) else 0
+    # Duration of the first pose before the recording starts [s].
+    settling = round(0.5 / (t[1] - t[0])) if not np.any(command.qd[0]) else 0
     warmth = np.concatenate([np.ones(settling), train.warmth(t)])
     q, qd, torque = np.empty((t.size, n)), np.empty((t.size, n)), np.empty((t.size + 1, n))
     physics.start(command.q[0], command.qd[0])
@@ -114,7 +110,8 @@ def _check_distance(
     physics: Physics, position: Array, command: Array, t: float, torque_limit: Array
 ) -> None:
     away = np.nan_to_num(np.abs(position - command), nan=np.inf)
-    if np.all(away < LOST):
+    # Distance from the command [rad or m] at which the simulation is stopped.
+    if np.all(away < 1.5):
         return
     worst = int(np.argmax(away))
     raise MotionError(

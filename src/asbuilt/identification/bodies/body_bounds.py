@@ -12,13 +12,6 @@ from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
 from asbuilt.identification.bodies.cad_prior import CadPrior
 
-LIGHTEST = 0.05
-"""Default lower bound of the mass of a link, in CAD masses."""
-HEAVIEST = 10.0
-"""Default upper bound of the mass of a link, in CAD masses; at least the mass of all links."""
-FARTHEST = 2.0
-"""Default bound of a centre of mass along each axis from that of CAD, in reaches of a link."""
-
 
 @dataclass(frozen=True, eq=False)
 class BodyBounds:
@@ -104,9 +97,13 @@ def wide_bounds(prior: CadPrior) -> BodyBounds:
     given = {links[0] for links, _, _ in prior.mass_ranges if len(links) == 1}
     bodies = prior.parameters[: 10 * prior.n_links].reshape(-1, 10)
     total = float(bodies[:, 9].sum())
-    far = FARTHEST * float(prior.reach.max())
+    # Default bound of a centre of mass along each axis from that of CAD, in reaches of a link.
+    far = 2.0 * float(prior.reach.max())
+    # 0.05: default lower bound of the mass of a link, in CAD masses.
+    # 10.0: default upper bound of the mass of a link, in CAD masses; at least the mass of all
+    # links.
     masses = {
-        i: (LIGHTEST * body[9], max(HEAVIEST * body[9], total))
+        i: (0.05 * body[9], max(10.0 * body[9], total))
         for i, body in enumerate(bodies)
         if i not in given
     }

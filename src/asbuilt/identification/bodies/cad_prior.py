@@ -13,24 +13,33 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
 
-NO_THICKNESS = 1e-5
-"""Ratio of smallest to total second moment below which a link is flat (a plate 0.3 % thick)."""
-USUAL_THICKNESS = 1e-3
-"""Least ratio that a flat link is given."""
-POINT_MASS = 1e-9
-"""Total second moment in mass times squared reach below which a link is a point.
 
-It then gets the moments of a body a quarter as wide as its reach.
-"""
-SMALLEST_REACH = 0.05
-"""Least size of a link [m]."""
-NEGLIGIBLE = 1e-6
-"""Mass [kg] that stands for that of a link said to have none: consistent, and without torque."""
-GUESSED_STRENGTH = 0.1
-"""Weight of a link without CAD values; links with CAD values have 1."""
-UNSCALED = 1e-6
-"""Weight of drive parameters without a scale from data, which matters only if data leave them open.
-"""
+@dataclass(frozen=True, slots=True)
+class PriorRules:
+    """Hold sizes and weights of a prior where CAD states none."""
+
+    no_thickness: float = 1e-5
+    """Ratio of smallest to total second moment below which a link is flat (a plate 0.3 % thick)."""
+    usual_thickness: float = 1e-3
+    """Least ratio that a flat link is given."""
+    point_mass: float = 1e-9
+    """Total second moment in mass times squared reach below which a link is a point.
+
+    It then gets the moments of a body a quarter as wide as its reach.
+    """
+    smallest_reach: float = 0.05
+    """Least size of a link [m]."""
+    negligible: float = 1e-6
+    """Mass [kg] that stands for that of a link said to have none: consistent, and without
+    torque."""
+    guessed_strength: float = 0.1
+    """Weight of a link without CAD values; links with CAD values have 1."""
+    unscaled: float = 1e-6
+    """Weight of drive parameters without a scale from data, which matters only if data leave them
+    open."""
+
+
+RULES = PriorRules()
 
 PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
@@ -97,7 +106,7 @@ class CadPrior:
     notes: tuple[str, ...] = ()
     mass_ranges: tuple[tuple[tuple[int, ...], float, float], ...] = ()
     drive_scale: Array = field(default_factory=lambda: np.zeros(0))
-    drive_weight: float = UNSCALED
+    drive_weight: float = RULES.unscaled
 
     def __post_init__(self) -> None:
         if not self.drive_scale.size:
@@ -192,24 +201,24 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     notes: list[str] = []
     for i, link in enumerate(model.links):
         points = _joint_points(model, i)
-        reach[i] = max(SMALLEST_REACH, float(np.max(np.linalg.norm(points, axis=1))))
+        reach[i] = max(RULES.smallest_reach, float(np.max(np.linalg.norm(points, axis=1))))
         if masses[i] > 0:
             mass, com = masses[i], link.inertia.com
             spread = _second_moment(link.inertia.inertia_about_com)
         elif link.negligible:
-            mass, com, spread = NEGLIGIBLE, points.mean(axis=0), np.zeros((3, 3))
+            mass, com, spread = RULES.negligible, points.mean(axis=0), np.zeros((3, 3))
         else:
             mass, com = _neighbouring_mass(model, masses, i), points.mean(axis=0)
             spread = (
                 _second_moment(link.inertia.inertia) if link.inertia_known else np.zeros((3, 3))
             )
-            strength[i] = GUESSED_STRENGTH
+            strength[i] = RULES.guessed_strength
         eigenvalues, axes = np.linalg.eigh(spread)
         total = float(np.sum(np.maximum(eigenvalues, 0.0)))
-        if total <= POINT_MASS * mass * reach[i] ** 2:
+        if total <= RULES.point_mass * mass * reach[i] ** 2:
             corrected = np.full(3, mass * (reach[i] / 4.0) ** 2)
-        elif eigenvalues[0] < NO_THICKNESS * total:
-            corrected = np.maximum(eigenvalues, USUAL_THICKNESS * total)
+        elif eigenvalues[0] < RULES.no_thickness * total:
+            corrected = np.maximum(eigenvalues, RULES.usual_thickness * total)
         else:
             corrected = eigenvalues
         if masses[i] <= 0 and not link.negligible:

@@ -34,8 +34,6 @@ RESOLVED = (1e-11, 1e-9, 1e-7)
 They matter only for data with almost no noise. A later one is tried if the solver fails, as for
 torques far from those of CAD.
 """
-DRIVE_WEIGHT = 1e-3
-"""Weight of drive parameters relative to that of links."""
 CERTAIN = 1e-13
 """Tolerance of a proof of infeasibility; large residuals look like proofs at the usual one."""
 ROUGH = 1e-6
@@ -160,12 +158,11 @@ class ConicProblem:
         stiffest = float(np.max(np.sum(torque**2, axis=0)))
         for resolved in RESOLVED:
             floored = max(weight, resolved * stiffest)
+            # 1e-3: weight of drive parameters relative to that of links.
             pull = np.concatenate(
                 [
                     np.repeat(floored * prior.strength, 10),
-                    np.full(
-                        n - inertial, max(min(floored, 1.0) * DRIVE_WEIGHT, prior.drive_weight)
-                    ),
+                    np.full(n - inertial, max(min(floored, 1.0) * 1e-3, prior.drive_weight)),
                 ]
             )
             inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None

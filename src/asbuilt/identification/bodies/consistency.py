@@ -16,9 +16,6 @@ from asbuilt.identification.bodies.cad_prior import (
 )
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 
-MARGIN_TOLERANCE = 1e-8
-"""Negative margin, in units of the largest parameter, that is rounding of the solver."""
-
 ROUNDING_OF_DRIVES = 1e-9
 """Negative friction or armature that is rounding: 1e-9 N m at unit velocity or acceleration."""
 
@@ -92,7 +89,8 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
 def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
     """Return whether a margin is non-negative up to the solver's rounding."""
     scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
-    return margin >= -MARGIN_TOLERANCE * scale
+    # Negative margin, in units of the largest parameter, that is rounding of the solver.
+    return margin >= -1e-8 * scale
 
 
 def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:

@@ -29,16 +29,30 @@ BARRIER = 1e-3
 """Weight of the logarithmic barrier in squared weighted residuals, far below one standard error."""
 CLOSE = 1e-9
 """Squared Newton decrement at the last step but one, in squared weighted residuals or weights."""
-CENTRAL = 0.5
-"""Largest relative distance of duals and multipliers from the central path at the end."""
-ROUNDING = 1e-14
-"""Relative rise of the value that is rounding."""
-MOST_STEPS = 300
+
+
+@dataclass(frozen=True, slots=True)
+class NewtonRules:
+    """Hold when the steps of the fit are shortened, and when it ends."""
+
+    central: float = 0.5
+    """Largest relative distance of duals and multipliers from the central path at the end."""
+    rounding: float = 1e-14
+    """Relative rise of the value that is rounding."""
+    most_steps: int = 300
+    """Most Newton steps of a fit."""
+    sufficient: float = 0.05
+    """Share of the promised decrease that a step must reach (Armijo)."""
+    shorter: float = 0.5
+    """Factor by which a step that does not is shortened, ..."""
+    shortest: float = 1e-12
+    """... down to this part of the whole step."""
+    near_edge: float = 0.95
+    """Part of the way to the nearest bound that a step may go."""
+
+
+NEWTON = NewtonRules()
 SIZES = Cure("check the data for values of extreme size")
-SUFFICIENT = 0.05
-SHORTER = 0.5
-SHORTEST = 1e-12
-NEAR_EDGE = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +182,7 @@ class EntropicProblem:
                 " inside the bounds"
             )
         active, steps = np.arange(len(search.y)), 0
-        while active.size and steps < MOST_STEPS:
+        while active.size and steps < NEWTON.most_steps:
             active, steps = active[~search.advance(active, close)], steps + 1
         if active.size:
             raise IdentifiabilityError(
@@ -290,7 +304,9 @@ class _Search:
             steepest[:, [1, *range(2 + n_bounds, 2 + 2 * n_bounds)]],
         )
         length, dual_length = (
-            np.minimum(1.0, NEAR_EDGE / np.maximum(each.max(axis=1), np.finfo(np.float64).tiny))
+            np.minimum(
+                1.0, NEWTON.near_edge / np.maximum(each.max(axis=1), np.finfo(np.float64).tiny)
+            )
             for each in (ahead, dual_ahead)
         )
         self.duals[a] += dual_length[:, None, None, None] * (_turned(T) @ Y @ T)
@@ -305,21 +321,21 @@ class _Search:
                 slack[trying] + far * narrowing[trying],
             )
             values, roots = self._evaluated(*tried)
-            promised = SUFFICIENT * length[trying] * np.maximum(self.decrements[b], 0.0)
-            good = values <= self.values[b] - promised + ROUNDING * np.abs(self.values[b])
+            promised = NEWTON.sufficient * length[trying] * np.maximum(self.decrements[b], 0.0)
+            good = values <= self.values[b] - promised + NEWTON.rounding * np.abs(self.values[b])
             kept = b[good]
             self.y[kept] += (far * step[trying])[good]
             self.q[kept], self.error[kept], self.slack[kept] = (each[good] for each in tried)
             self.values[kept], self.roots[kept] = values[good], roots[good]
             trying = trying[~good]
-            length[trying] *= SHORTER
-            trying = trying[length[trying] > SHORTEST]
+            length[trying] *= NEWTON.shorter
+            trying = trying[length[trying] > NEWTON.shortest]
         off = np.max(np.abs(V**2 / own - 1.0), axis=(1, 2), initial=0.0)
         off = np.maximum(
             off, np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0)
         )
         return np.asarray(
-            (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= CENTRAL)
+            (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= NEWTON.central)
         )
 
     def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:

@@ -22,12 +22,8 @@ from asbuilt.identification.bodies.entropic_fit import (
 
 DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
 """Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
-ROUGH = 1e-3
-"""Squared distance from the minimum, in squared standard errors, at which a rough fit ends."""
 START_PARTS = (1e-2, 1e-3, 1e-4)
 """Least pseudo-inertias of the start in those of CAD; the later ones for masses far below CAD."""
-START_SLACK = 0.1
-"""Start of bounded drive parameters, in units of their scale."""
 
 
 class EntropicPath:
@@ -59,8 +55,9 @@ class EntropicPath:
         """Return the fits of many factors, to a small part of a standard error, for one weight."""
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
+        # Squared distance from the minimum, in squared standard errors, at which a rough fit ends.
         self._reached[weight] = self._problem.fit(
-            factors, weight, start, barrier=barrier, close=ROUGH
+            factors, weight, start, barrier=barrier, close=1e-3
         )
         return self._reached[weight].chi
 
@@ -89,9 +86,8 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     """Return parameters strictly inside the bounds: CAD if possible, else the nearest."""
     chi = prior.parameters.copy()
     lifted = prior.non_negative
-    chi[lifted] = np.maximum(
-        chi[lifted], START_SLACK * prior.drive_scale[lifted - 10 * prior.n_links]
-    )
+    # 0.1: start of bounded drive parameters, in units of their scale.
+    chi[lifted] = np.maximum(chi[lifted], 0.1 * prior.drive_scale[lifted - 10 * prior.n_links])
     if np.all(bounds.slack(chi) > 0):
         return chi
     margin = np.minimum(1e-3 * np.linalg.norm(bounds.rows, axis=1), 0.25 * _widths(bounds))

@@ -19,14 +19,23 @@ from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
 
 FEW = 3
 """Parameters of a combination that is short enough."""
-ROUNDS = 6
-"""Reweighted l1 minimisations (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008)."""
-DEAREST = 100.0
-"""Largest l1 weight of a parameter, relative to its standard error."""
-SOLVED = 1e-9
-"""Negative part of a coefficient that is rounding."""
-ROUNDING = 1e-4
-"""Coefficient, in standard errors relative to the largest, that is left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShortestRules:
+    """Hold how the shortest inconsistent combination is searched."""
+
+    rounds: int = 6
+    """Reweighted l1 minimisations (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008)."""
+    dearest: float = 100.0
+    """Largest l1 weight of a parameter, relative to its standard error."""
+    solved: float = 1e-9
+    """Negative part of a coefficient that is rounding."""
+    rounding: float = 1e-4
+    """Coefficient, in standard errors relative to the largest, that is left out."""
+
+
+RULES = ShortestRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +151,7 @@ class _Separation:
         size = np.abs(self.images).max(axis=0)
         eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
         drives = self.images[self.passive].min(axis=0, initial=0.0)
-        proof = (np.minimum(eigenvalues, drives) >= -SOLVED * size) & ~np.any(
+        proof = (np.minimum(eigenvalues, drives) >= -RULES.solved * size) & ~np.any(
             self.images[self.free], axis=0
         )
         sigmas = np.where(proof, -self.beta / self.size, 0.0)
@@ -156,7 +165,7 @@ class _Separation:
     def shortened(self, surest: Array) -> Array:
         """Return a proof with few parameters, starting from the most significant."""
         said, prices = surest, np.ones(len(surest))
-        for _ in range(ROUNDS):
+        for _ in range(RULES.rounds):
             found = self.solve(prices)
             if found is None:
                 break
@@ -164,7 +173,9 @@ class _Separation:
             if np.count_nonzero(said) <= FEW:
                 break
             share = np.abs(said) * self.size
-            prices = np.minimum(DEAREST, share.max() / np.maximum(share, share.max() / DEAREST))
+            prices = np.minimum(
+                RULES.dearest, share.max() / np.maximum(share, share.max() / RULES.dearest)
+            )
         return said
 
     def solve(self, prices: Array) -> Array | None:
@@ -215,4 +226,6 @@ class _Separation:
         if not solution.is_solved:
             return None
         u = solution.x[:p]
-        return np.asarray(np.where(np.abs(u) > ROUNDING * np.abs(u).max(), u, 0.0) / self.size)
+        return np.asarray(
+            np.where(np.abs(u) > RULES.rounding * np.abs(u).max(), u, 0.0) / self.size
+        )

@@ -30,21 +30,30 @@ from asbuilt.identification.bodies.plausible import plausible_parameters
 from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.information.triangular import triangular_factor
 
-EXACT_PART = 1e-6
-"""Least part of CAD at which base parameters are kept exactly; below, rounding decides."""
-SHARPEST = 1e7
-"""Torque in standard errors of beta beyond which beta is kept exactly (simulations)."""
+
+@dataclass(frozen=True, slots=True)
+class StandardRules:
+    """Hold how exactly standard parameters reproduce base parameters."""
+
+    exact_part: float = 1e-6
+    """Least part of CAD at which base parameters are kept exactly; below, rounding decides."""
+    sharpest: float = 1e7
+    """Torque in standard errors of beta beyond which beta is kept exactly (simulations)."""
+    fine_barrier: float = 1e-12
+    """Weight of the logarithmic barrier of that fit, far below the usual one."""
+    least_share: float = 1e-5
+    """Least armature that shares a base parameter with a link, in units of its scale."""
+    rounding: float = 1e-6
+    """Relative violation of a bound that is rounding of the fit."""
+    relative_resolution: float = 1e-3
+    """Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence."""
+
+
+RULES = StandardRules()
 LIMIT = 1.0
 """Largest chi-square of the parameters closest to CAD: no torque, and no other combination of base
 parameters, then moves by more than one standard error of its own (Scheffe's bound).
 """
-FINE_BARRIER = 1e-12
-LEAST_SHARE = 1e-5
-"""Least armature that shares a base parameter with a link, in units of its scale."""
-ROUNDING = 1e-6
-"""Relative violation of a bound that is rounding of the fit."""
-RELATIVE_RESOLUTION = 1e-3
-"""Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,21 +205,23 @@ def standard_parameters(
     alone = drives.rows[~moving] @ (coordinates.kept @ asked)
     motion = random_motion_rows(model, base)
     of_motion = _joint_rms(motion @ asked, model.n_joints)
-    known = known_bounds(cad).wider(ROUNDING, cad.parameters)
+    known = known_bounds(cad).wider(RULES.rounding, cad.parameters)
     shared, passive = shared.and_also(known), drives.and_also(known_bounds(cad))
     with one_blas_thread():
-        within = shared.and_also(wide_bounds(cad).wider(ROUNDING, cad.parameters))
+        within = shared.and_also(wide_bounds(cad).wider(RULES.rounding, cad.parameters))
         chi, part = deepest_inside(cad, coordinates, asked, within)
-        if part > EXACT_PART:
+        if part > RULES.exact_part:
             shared = within
         else:
             chi, part = deepest_inside(cad, coordinates, asked, shared)
-        exact = part > EXACT_PART and not (nearest and np.any(alone < 0.0))
+        exact = part > RULES.exact_part and not (nearest and np.any(alone < 0.0))
         consistent = exact or nearest
         if not exact and nearest:
             factor = _distance_factor(asked, motion, information)
             chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=passive).chi
-            least = LEAST_SHARE * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
+            least = (
+                RULES.least_share * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
+            )
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
         plausible = None
@@ -247,7 +258,7 @@ def _within(
     cad: CadPrior, base: BaseParameters, beta: Array, root: Array
 ) -> tuple[Array, float] | None:
     """Return parameters within the uncertainty, or None if that is as good as none."""
-    if not len(root) or np.linalg.norm(root @ beta) > SHARPEST:
+    if not len(root) or np.linalg.norm(root @ beta) > RULES.sharpest:
         return None
     return plausible_parameters(cad, base, beta, root, LIMIT)
 
@@ -266,7 +277,7 @@ def deepest_inside(
     whitened = np.linalg.solve(bodies, np.column_stack([near, coordinates.dependent]))
     along, triangle = np.linalg.qr(whitened[:, 1:])
     free = coordinates.dependent @ np.linalg.inv(triangle)
-    slack = np.append(np.full(len(bounds.rows), LEAST_SHARE), 1.0)[:, None]
+    slack = np.append(np.full(len(bounds.rows), RULES.least_share), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
     constraints = np.vstack(
         [np.hstack([-rows, slack]), np.hstack([-along[:inertial], q0[:inertial, None]])]
@@ -300,7 +311,7 @@ def _closest_above(
     above = replace(cad, parameters=cad.parameters - below)
     problem = EntropicProblem(above, coordinates, bounds.raised(below), held=True)
     return np.asarray(
-        problem.fit(None, 1.0, (chi - below)[None], barrier=FINE_BARRIER).chi[0] + below
+        problem.fit(None, 1.0, (chi - below)[None], barrier=RULES.fine_barrier).chi[0] + below
     )
 
 
@@ -319,7 +330,7 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
     p = len(beta)
     if information is None:
         torque = float(np.sqrt(np.mean((motion @ beta) ** 2)))
-        root = motion / max(RELATIVE_RESOLUTION * torque, np.finfo(np.float64).tiny)
+        root = motion / max(RULES.relative_resolution * torque, np.finfo(np.float64).tiny)
     else:
         A = np.asarray(information, dtype=np.float64)
         size = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))

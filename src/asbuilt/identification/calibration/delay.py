@@ -24,25 +24,36 @@ from asbuilt.identification.result.design_values import design_values
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-SIGNIFICANT = 2.0
-"""Standard errors that a delay must exceed to be applied."""
-CERTAIN = 5e-3
-"""Standard error [s] below which that is enough; else it must also predict other motions better.
 
-On the logs of four real robots friction lags by 13 to 75 ms, and the delays that rest on what is
-left have standard errors of 8 to 60 ms, against 0.1 to 3 ms of virtual robots whose torque is late.
-"""
-UNEQUAL = 1e-3
-"""Probability of equal joints below which they have delays of their own."""
-OF_ONE_JOINT = 3.0
-"""Largest lag of friction of one joint, in the mean of all (own choice: 2.8 on the LWR4+)."""
-MOST_STEPS = 10
-SETTLED = 2e-5
-"""Increment [s] below which a delay has converged."""
-LONGEST_STEP = 0.05
-"""Largest increment, in periods of the cutoff, for which the derivative holds."""
-FARTHEST = 0.3
-"""Delay [s] beyond which the search has failed."""
+@dataclass(frozen=True, slots=True)
+class DelayRules:
+    """Hold when a delay is applied, and how it is searched."""
+
+    significant: float = 2.0
+    """Standard errors that a delay must exceed to be applied."""
+    certain: float = 5e-3
+    """Standard error [s] below which that is enough; else it must also predict other motions
+    better.
+
+    On the logs of four real robots friction lags by 13 to 75 ms, and the delays that rest on what
+    is left have standard errors of 8 to 60 ms, against 0.1 to 3 ms of virtual robots whose torque
+    is late.
+    """
+    unequal: float = 1e-3
+    """Probability of equal joints below which they have delays of their own."""
+    of_one_joint: float = 3.0
+    """Largest lag of friction of one joint, in the mean of all (own choice: 2.8 on the LWR4+)."""
+    most_steps: int = 10
+    """Most steps of a search."""
+    settled: float = 2e-5
+    """Increment [s] below which a delay has converged."""
+    longest_step: float = 0.05
+    """Largest increment, in periods of the cutoff, for which the derivative holds."""
+    farthest: float = 0.3
+    """Delay [s] beyond which the search has failed."""
+
+
+RULES = DelayRules()
 
 Prepare = Callable[[Array], Sequence["Samples"]]
 """Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
@@ -78,8 +89,8 @@ class DelayEstimate:
 
         A delay is certain if its standard error is below 5 ms.
         """
-        sure = np.abs(self.estimates) > SIGNIFICANT * self.std_errors
-        return np.asarray(sure & ((self.std_errors < CERTAIN) | bool(self.helps)))
+        sure = np.abs(self.estimates) > RULES.significant * self.std_errors
+        return np.asarray(sure & ((self.std_errors < RULES.certain) | bool(self.helps)))
 
 
 def find_delays(
@@ -120,18 +131,24 @@ def find_delays(
     delays, std_errors = together, columns.solve(common).std_errors
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
     std_errors = np.hypot(std_errors, mean_lag.increments[:count])
-    if abs(mean_lag.increments[-1]) > SIGNIFICANT * mean_lag.std_errors[-1]:
+    if abs(mean_lag.increments[-1]) > RULES.significant * mean_lag.std_errors[-1]:
         whole = np.concatenate([common, lags], axis=2)
         delays, columns = fits.settled(together, whole)
         std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
-    std_errors = np.where(np.abs(delays) < FARTHEST, std_errors, np.inf)
+    std_errors = np.where(np.abs(delays) < RULES.farthest, std_errors, np.inf)
     lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
-    joints, errors = _joint_delays(fits, delays, abs(lag) + SIGNIFICANT * lag_error) or (None, None)
-    sure = np.abs(delays) > SIGNIFICANT * std_errors
+    joints, errors = _joint_delays(fits, delays, abs(lag) + RULES.significant * lag_error) or (
+        None,
+        None,
+    )
+    sure = np.abs(delays) > RULES.significant * std_errors
     if joints is not None and errors is not None:
-        doubtful, shifts = bool(np.median(errors) >= CERTAIN), joints
+        doubtful, shifts = bool(np.median(errors) >= RULES.certain), joints
     else:
-        doubtful, shifts = bool(np.any(sure & (std_errors >= CERTAIN))), np.where(sure, delays, 0.0)
+        doubtful, shifts = (
+            bool(np.any(sure & (std_errors >= RULES.certain))),
+            np.where(sure, delays, 0.0),
+        )
     helps = fits.predict_better(shifts) if doubtful else None
     if joints is not None and helps is False:
         joints, errors = None, None
@@ -180,7 +197,7 @@ class _Fits:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
         samples = self._samples(delays)
         bands = [each.parallel.cutoff for each in samples if each.parallel]
-        self.longest = LONGEST_STEP / min(bands) if bands else LONGEST_STEP
+        self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
         return delay_columns(
             self.model,
             self._base,
@@ -192,10 +209,12 @@ class _Fits:
     def settled(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
         """Return the delays (R,) after which the residual falls no further."""
         columns = self.columns(delays)
-        for _ in range(MOST_STEPS):
+        for _ in range(RULES.most_steps):
             step = columns.solve(shares).increments[: self.count]
             step = np.clip(step, -self.longest, self.longest)
-            if np.all(np.abs(step) < SETTLED) or np.any(np.abs(delays + step) > FARTHEST):
+            if np.all(np.abs(step) < RULES.settled) or np.any(
+                np.abs(delays + step) > RULES.farthest
+            ):
                 return delays + step, columns
             delays = delays + step
             columns = self.columns(delays)
@@ -212,15 +231,15 @@ def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array]
     columns, each = fits.columns(delays), _per_joint(count, n)
     wide = np.repeat(delays[:, None], n, axis=1)
     solved = columns.solve(each)
-    for _ in range(MOST_STEPS // 2):
+    for _ in range(RULES.most_steps // 2):
         step = np.clip(solved.increments.reshape(count, n), -fits.longest, fits.longest)
-        wide = np.clip(wide + step, -FARTHEST, FARTHEST)
+        wide = np.clip(wide + step, -RULES.farthest, RULES.farthest)
         solved = fits.columns(wide).solve(each)
-        if np.all(np.abs(step) < SETTLED):
+        if np.all(np.abs(step) < RULES.settled):
             break
     errors = solved.std_errors.reshape(count, n)
     chance, spread = _alike(wide, errors, solved.n_blocks)
-    return None if chance > UNEQUAL or spread < OF_ONE_JOINT * lag else (wide, errors)
+    return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)
 
 
 def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
@@ -233,7 +252,7 @@ def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
     off = delays - (weight * delays).sum(axis=1, keepdims=True) / total
     chi_square = float(np.sum(weight * off**2))
     chance = float(f_distribution.sf(chi_square / freedom, freedom, max(n_blocks - 1, 1)))
-    return chance, float(np.max(np.abs(off) - SIGNIFICANT * errors))
+    return chance, float(np.max(np.abs(off) - RULES.significant * errors))
 
 
 def _common(count: int, n: int) -> Array:

@@ -15,10 +15,6 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.rows import JointFactors, sample_blocks
 from asbuilt.identification.information.triangular import GrowingFactor
 
-FIRST_OF_GRAVITY = 6
-"""Place among the ten parameters of a link from which on gravity acts on them: first moments and
-mass."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GravityRows:
@@ -52,7 +48,9 @@ class GravityRows:
     ) -> GravityRows:
         """Reduce samples, filtered as in `accumulate_stream`, in one pass."""
         of_links = np.flatnonzero(base.columns < 10 * base.n_links)
-        columns = of_links[base.columns[of_links] % 10 >= FIRST_OF_GRAVITY]
+        # 6: place among the ten parameters of a link from which on gravity acts on them: first
+        # moments and mass.
+        columns = of_links[base.columns[of_links] % 10 >= 6]
         plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=3 * columns.size + 1)
         along = [
             RegressorPlan.of(model.with_gravity(axis), columns=base.columns[columns])

@@ -38,19 +38,29 @@ if TYPE_CHECKING:
 SEARCHES = (1e-4, 1e-7)
 """Relative falls of the cost at which two searches end; the second has the joint weights of the
 first."""
-MOST_TRIES = 80
-STEP = 20e-3
-"""Unit of the tilt in the search [rad]."""
-SLOPE = 1e-5
-"""Step [rad] of the slopes of the cost with the parameters held, which is quadratic there."""
-DIFFERENCE = 4e-3
-"""Step [rad] of the finite differences of the cost."""
-FARTHEST = 0.35
-"""Largest tilt [rad] of the search; walls and ceilings belong into the description."""
-SIGNIFICANT = 4.0
-"""Standard errors that a base tilt must exceed."""
-NOTICEABLE = 1e-3
-"""Angle [rad] that a base tilt must exceed: about the accuracy of a level floor."""
+
+
+@dataclass(frozen=True, slots=True)
+class TiltRules:
+    """Hold how a base tilt is searched, and when it is one."""
+
+    most_tries: int = 80
+    """Evaluations of the cost in a search of two angles."""
+    step: float = 20e-3
+    """Unit of the tilt in the search [rad]."""
+    slope: float = 1e-5
+    """Step [rad] of the slopes of the cost with the parameters held, which is quadratic there."""
+    difference: float = 4e-3
+    """Step [rad] of the finite differences of the cost."""
+    farthest: float = 0.35
+    """Largest tilt [rad] of the search; walls and ceilings belong into the description."""
+    significant: float = 4.0
+    """Standard errors that a base tilt must exceed."""
+    noticeable: float = 1e-3
+    """Angle [rad] that a base tilt must exceed: about the accuracy of a level floor."""
+
+
+RULES = TiltRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +110,7 @@ class Mounting:
         known = variances > np.finfo(float).eps * variances[-1]
         parts = (self.tilt @ directions[:, known]) ** 2 / variances[known]
         z = float(np.sum(parts)) if known.any() else np.inf
-        return self.angle > NOTICEABLE and z > SIGNIFICANT**2
+        return self.angle > RULES.noticeable and z > RULES.significant**2
 
     @property
     def relief(self) -> float:
@@ -199,31 +209,32 @@ def find_mounting(
 
         def cost(steps: Array, weights: Array) -> tuple[float, Array]:
             """Return V and its gradient, which is that with the best parameters held."""
-            tilt = STEP * steps
+            tilt = RULES.step * steps
             beta = base.regrouping @ best(tilt, weights)
             here, *moved = (
-                rows.cost(gravity(tilt + step), weights, beta) for step in SLOPE * np.eye(3, 2, -1)
+                rows.cost(gravity(tilt + step), weights, beta)
+                for step in RULES.slope * np.eye(3, 2, -1)
             )
-            return here, STEP * (np.array(moved) - here) / SLOPE
+            return here, RULES.step * (np.array(moved) - here) / RULES.slope
 
         fit, as_given = _settled(information(tilt), prior, bounds)
         for enough in SEARCHES:
             found = minimize(
                 cost,
-                tilt / STEP,
+                tilt / RULES.step,
                 args=(fit.weights,),
                 method="L-BFGS-B",
                 jac=True,
-                bounds=[(-FARTHEST / STEP, FARTHEST / STEP)] * 2,
-                options={"ftol": enough, "maxfun": MOST_TRIES},
+                bounds=[(-RULES.farthest / RULES.step, RULES.farthest / RULES.step)] * 2,
+                options={"ftol": enough, "maxfun": RULES.most_tries},
             )
-            tilt = STEP * np.asarray(found.x)
+            tilt = RULES.step * np.asarray(found.x)
             seen = information(tilt)
             fit, rms = _settled(seen, prior, bounds)
-        if np.max(np.abs(tilt)) > 0.99 * FARTHEST:
+        if np.max(np.abs(tilt)) > 0.99 * RULES.farthest:
             raise IdentifiabilityError(
                 f"gravity in the root frame of {model.name} is more than"
-                f" {np.rad2deg(FARTHEST):.0f} deg from that of the description",
+                f" {np.rad2deg(RULES.farthest):.0f} deg from that of the description",
                 cure=Cure("correct gravity in the description"),
             )
         blocks = _blocks(model, batches, block_seconds, 2 * MOST_BLOCKS)
@@ -290,7 +301,7 @@ def _blocks(
 
 def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> tuple[Array, Array]:
     """Return slopes (n_blocks, 2) and the Hessian (2, 2) of the sum, by central differences."""
-    h = DIFFERENCE
+    h = RULES.difference
     one, two = np.array([h, 0.0]), np.array([0.0, h])
     ahead, behind = (
         [shares(tilt + step) for step in (one, two)],

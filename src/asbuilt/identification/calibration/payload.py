@@ -47,21 +47,30 @@ PAYLOAD_NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Ixz", "Iyy", 
 """Mass [kg], centre of mass [m] and inertia about it [kg m^2]."""
 FLANGES = ("flange", "tool0", "tool", "ee", "tcp")
 """Words in the name of the frame that carries the payload, most specific first."""
-SHORT_WORD = 3
-"""Words of at most so many characters must be separate: "sleeve" is no "ee"."""
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadRules:
+    """Hold scales and weights of the fit of a payload."""
+
+    short_word: int = 3
+    """Words of at most so many characters must be separate: "sleeve" is no "ee"."""
+    com_scale: float = 0.04
+    """Least scale of a centre of mass [m]: with 1 cm of standard error it is determined."""
+    vague_arm: float = 0.5
+    """Distance from the flange [m] of the prior standard deviation of a payload."""
+    load_iterations: int = 4
+    """Iterations of load-dependent friction with the payload."""
+    open: float = 1e-12
+    """Singular value, relative to the largest, below which the arm's prior has no information."""
+    interior: float = 1e-6
+    """Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace."""
+
+
+RULES = PayloadRules()
 LARGEST_ERROR = 0.25
 """Standard error of a determined parameter, relative to its own scale or the payload's."""
-COM_SCALE = 0.04
-"""Least scale of a centre of mass [m]: with 1 cm of standard error it is determined."""
-VAGUE_ARM = 0.5
-"""Distance from the flange [m] of the prior standard deviation of a payload."""
 FEWEST_BLOCKS = 4
-LOAD_ITERATIONS = 4
-"""Iterations of load-dependent friction with the payload."""
-OPEN = 1e-12
-"""Singular value, relative to the largest, below which the arm's prior has no information."""
-INTERIOR = 1e-6
-"""Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +162,9 @@ def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int,
     for word in FLANGES:
         for frame, (link, placement) in frames.items():
             if link == last and word in (
-                re.split(r"[^a-z0-9]+", frame.lower()) if len(word) <= SHORT_WORD else frame.lower()
+                re.split(r"[^a-z0-9]+", frame.lower())
+                if len(word) <= RULES.short_word
+                else frame.lower()
             ):
                 return frame, link, placement
     return model.link_names[last], last, np.eye(4)
@@ -217,7 +228,7 @@ def identify_payload_samples(
     p = result.n_base
     prior, vague = _prior(result), _vague(result.model)
     x = np.concatenate([result.estimates, np.zeros(10)])
-    for _ in range(LOAD_ITERATIONS if result.base.drive.needs_load else 1):
+    for _ in range(RULES.load_iterations if result.base.drive.needs_load else 1):
         rows = PayloadRows.of(
             result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds
         )
@@ -333,7 +344,9 @@ def _vague(model: RobotModel) -> Array:
     It matters only in undetermined directions, whose errors become as large.
     """
     mass = float(np.abs(model.parameters[9::10]).sum()) or 1.0
-    size = np.concatenate([np.full(6, mass * VAGUE_ARM**2), np.full(3, mass * VAGUE_ARM), [mass]])
+    size = np.concatenate(
+        [np.full(6, mass * RULES.vague_arm**2), np.full(3, mass * RULES.vague_arm), [mass]]
+    )
     return np.column_stack([np.diag(1.0 / size), np.zeros(10)])
 
 
@@ -397,8 +410,8 @@ def _demand_known_arm(rows: Array, prior: Array) -> None:
     size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)
     _, s, vt = np.linalg.svd(prior / scaled)
-    free = vt[int(np.sum(s > OPEN * s.max(initial=0.0))) :]
-    if np.linalg.norm(rows / scaled @ free.T) > np.sqrt(OPEN) * np.linalg.norm(rows / scaled):
+    free = vt[int(np.sum(s > RULES.open * s.max(initial=0.0))) :]
+    if np.linalg.norm(rows / scaled @ free.T) > np.sqrt(RULES.open) * np.linalg.norm(rows / scaled):
         raise IdentifiabilityError(
             "the recording under load excites directions that the result of the arm does not"
             " determine, so that a frozen arm cannot predict it",
@@ -449,7 +462,7 @@ def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
     scale = np.sqrt(np.diag(covariance))
     values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     root = (axes / np.sqrt(np.maximum(values, 1e-10 * values.max()))).T / scale
-    floor = INTERIOR * float(np.abs(estimate[9]))
+    floor = RULES.interior * float(np.abs(estimate[9]))
     quadratic = sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale)))
     linear = -2.0 * (root * scale).T @ (root @ estimate)
     constraint = sparse.csc_matrix(-PSEUDO_INERTIA_SVEC * scale)
@@ -487,7 +500,7 @@ def _deviations(covariance: Array) -> Array:
 
 
 def _determined(values: Array, errors: Array) -> NDArray[np.bool_]:
-    centre = np.maximum(np.linalg.norm(values[1:4]), COM_SCALE)
+    centre = np.maximum(np.linalg.norm(values[1:4]), RULES.com_scale)
     principal = np.max(np.abs(values[[4, 7, 9]]))
     size = np.concatenate([[values[0]], np.full(3, centre), np.full(6, principal)])
     return errors <= LARGEST_ERROR * size

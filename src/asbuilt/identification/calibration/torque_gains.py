@@ -29,16 +29,26 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-ITERATIONS = 60
-CONVERGENCE = 1e-9
-SMALL_SHARE = 0.15
-"""Share of the payload in a joint's torque below which its gain depends on other joints."""
-LARGEST_ERROR = 0.25
-"""Standard error of a gain, as a fraction of it, above which it is undetermined."""
-RUNAWAY = 1e4
-"""Gain, in units of the median joint's, beyond which nothing bounds it: no two drives of a robot
-differ as much."""
-RANK_TOLERANCE = 1e-10
+@dataclass(frozen=True, slots=True)
+class GainRules:
+    """Hold how gains are iterated, and when they are determined."""
+
+    iterations: int = 60
+    """Most iterations of gains and noise."""
+    convergence: float = 1e-9
+    """Relative change of the gains at which they end."""
+    small_share: float = 0.15
+    """Share of the payload in a joint's torque below which its gain depends on other joints."""
+    largest_error: float = 0.25
+    """Standard error of a gain, as a fraction of it, above which it is undetermined."""
+    runaway: float = 1e4
+    """Gain, in units of the median joint's, beyond which nothing bounds it: no two drives of a
+    robot differ as much."""
+    rank_tolerance: float = 1e-10
+    """Singular value of scaled columns, relative to the largest, that counts as zero."""
+
+
+RULES = GainRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,12 +129,12 @@ class TorqueGains:
                 "the gains are the stiffnesses of the position servos; identify takes them as"
                 " exact, so add their relative errors to those of the torques"
             )
-        small = self._named(self.payload_share < SMALL_SHARE)
+        small = self._named(self.payload_share < RULES.small_share)
         if small:
             said.append(
-                f"the payload is below {100 * SMALL_SHARE:.0f} % of the torque of {small}; these"
-                " gains depend on other joints and on the friction model beyond their standard"
-                " errors"
+                f"the payload is below {100 * RULES.small_share:.0f} % of the torque of {small};"
+                " these gains depend on other joints and on the friction model beyond their"
+                " standard errors"
             )
         return tuple(said)
 
@@ -252,9 +262,9 @@ def identify_gains(
         gains, payload = problem.solve(np.where(known, given, 0.0), known)
         scatter = problem.jackknife(gains, np.where(known, given, 0.0), known)
     open_ended = ~(scatter < np.abs(gains)) | (
-        np.abs(gains) > RUNAWAY * np.nanmedian(np.abs(gains))
+        np.abs(gains) > RULES.runaway * np.nanmedian(np.abs(gains))
     )
-    determined = ~open_ended & (scatter < LARGEST_ERROR * np.abs(gains))
+    determined = ~open_ended & (scatter < RULES.largest_error * np.abs(gains))
     if of_command:
         determined &= gains > 0.0
     share = problem.payload_share(gains, payload)
@@ -339,7 +349,7 @@ class _Problem:
         theta = np.concatenate([np.zeros(p), given])
         inverse = self._signs(rows, theta, free) if start is None else 1.0 / start
         sigma = np.ones(self._n)
-        for iteration in range(ITERATIONS):
+        for iteration in range(RULES.iterations):
             scaled = [
                 r * [[*([g] * (p + 10)), 1.0]] / s
                 for r, g, s in zip(rows, inverse, sigma, strict=True)
@@ -360,7 +370,7 @@ class _Problem:
             inverse = inverse + change
             left = [r @ np.append(-g * theta, 1.0) for r, g in zip(rows, inverse, strict=True)]
             sigma = np.maximum([float(np.linalg.norm(e)) for e in left], 1e-12)
-            if np.all(np.abs(change) <= CONVERGENCE * np.abs(inverse)):
+            if np.all(np.abs(change) <= RULES.convergence * np.abs(inverse)):
                 break
         if not np.all(np.isfinite(inverse)):
             raise IdentifiabilityError(
@@ -411,5 +421,5 @@ def _least_squares(matrix: Array, target: Array) -> Array:
     """Return the shortest least-squares solution in columns scaled to unit length."""
     sizes = np.linalg.norm(matrix, axis=0)
     sizes[sizes == 0.0] = 1.0
-    solution: Array = np.linalg.lstsq(matrix / sizes, target, rcond=RANK_TOLERANCE)[0]
+    solution: Array = np.linalg.lstsq(matrix / sizes, target, rcond=RULES.rank_tolerance)[0]
     return np.asarray(solution / sizes)

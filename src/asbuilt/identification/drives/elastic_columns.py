@@ -9,9 +9,6 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 
-STEP = 1e-4
-"""Largest lag [rad or m] of the central differences; their error is of its square, 1e-8."""
-
 
 def elastic_columns(
     model: RobotModel,
@@ -60,7 +57,8 @@ def elastic_columns(
         return np.zeros_like(rigid)
     first = np.gradient(own, 1.0 / rate, edge_order=2)
     lag = np.stack([own, first, np.gradient(first, 1.0 / rate, edge_order=2)])
-    step = STEP / max(float(np.abs(own).max()), np.finfo(float).tiny)
+    # Largest lag [rad or m] of the central differences; their error is of its square, 1e-8.
+    step = 1e-4 / max(float(np.abs(own).max()), np.finfo(float).tiny)
     moved = np.zeros_like(state)
     moved[:, :, joint] = step * lag
     ahead, behind = (

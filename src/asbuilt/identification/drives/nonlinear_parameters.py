@@ -25,27 +25,35 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-MOST_SAMPLES = 20_000
-"""Filtered samples of a fit; evenly spread time blocks of longer recordings."""
-GRID = 24
-"""Values of the first search over the range of a nonlinear parameter."""
-REFINEMENTS = 10
-"""Golden sections around the best value of each joint."""
-LEAST_F = 30.0
-"""Least decrease of a joint's squared error, times the number of samples, for a determined value.
+@dataclass(frozen=True, slots=True)
+class SearchRules:
+    """Hold how nonlinear parameters are searched, and when they are determined."""
 
-An F of 30 for white residuals, of a few for correlated ones.
-"""
-AT_BOUND = 0.02
-"""Distance from an end of the range, as a fraction of the range, that counts as at the end."""
-SLOWEST_SHARE = 0.03
-"""Share of slow moving samples of a joint below which no speed parameter is sought."""
-CYCLES = 10
-"""Largest number of cycles over several nonlinear parameters."""
-SETTLED = 0.01
-"""Largest relative change of any nonlinear parameter in the last cycle."""
-SAME_COLUMN = 1e-8
-"""Relative singular value below which a column is a combination of others."""
+    most_samples: int = 20_000
+    """Filtered samples of a fit; evenly spread time blocks of longer recordings."""
+    grid: int = 24
+    """Values of the first search over the range of a nonlinear parameter."""
+    refinements: int = 10
+    """Golden sections around the best value of each joint."""
+    least_f: float = 30.0
+    """Least decrease of a joint's squared error, times the number of samples, for a determined
+    value.
+
+    An F of 30 for white residuals, of a few for correlated ones.
+    """
+    at_bound: float = 0.02
+    """Distance from an end of the range, as a fraction of the range, that counts as at the end."""
+    slowest_share: float = 0.03
+    """Share of slow moving samples of a joint below which no speed parameter is sought."""
+    cycles: int = 10
+    """Largest number of cycles over several nonlinear parameters."""
+    settled: float = 0.01
+    """Largest relative change of any nonlinear parameter in the last cycle."""
+    same_column: float = 1e-8
+    """Relative singular value below which a column is a combination of others."""
+
+
+SEARCH = SearchRules()
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
@@ -152,7 +160,7 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
             cure=Cure("record longer, raise the cutoff, or state the nonlinear parameters"),
         )
     with one_blas_thread():
-        for _ in range(CYCLES if len(free) > 1 else 1):
+        for _ in range(SEARCH.cycles if len(free) > 1 else 1):
             before = {place: np.array(each.values) for place, each in found.items()}
             for key, parameter in free:
                 term = next(term for term in current.terms if term.key == key)
@@ -161,7 +169,9 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
                 current = current.with_term(term.with_nonlinear({parameter.name: fitted.values}))
             if all(
                 place in before
-                and np.all(np.abs(before[place] - each.values) <= SETTLED * np.abs(each.values))
+                and np.all(
+                    np.abs(before[place] - each.values) <= SEARCH.settled * np.abs(each.values)
+                )
                 for place, each in found.items()
             ):
                 break
@@ -171,7 +181,7 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
 def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
     """Return the time blocks for fits of drive terms, evenly spread if there are many."""
     every = list(sample_blocks(model, samples))
-    step = max(1, -(-sum(each.n_outputs for each in every) // MOST_SAMPLES))
+    step = max(1, -(-sum(each.n_outputs for each in every) // SEARCH.most_samples))
     return every[::step]
 
 
@@ -201,14 +211,17 @@ def _fit_one(
     def real(points: Array) -> Array:
         return np.clip(np.exp(points) if logarithmic else points, lowest, highest)
 
-    grid = np.linspace(first, last, GRID)
+    grid = np.linspace(first, last, SEARCH.grid)
     errors = np.array([error(real(points)) for points in grid])
     best = errors.argmin(axis=0)
     every = np.arange(n)
-    low, high = grid[np.maximum(best - 1, 0), every], grid[np.minimum(best + 1, GRID - 1), every]
+    low, high = (
+        grid[np.maximum(best - 1, 0), every],
+        grid[np.minimum(best + 1, SEARCH.grid - 1), every],
+    )
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_a, at_b = error(real(a)), error(real(b))
-    for _ in range(REFINEMENTS):
+    for _ in range(SEARCH.refinements):
         left = at_a < at_b
         low, high = np.where(left, low, a), np.where(left, b, high)
         renewed = np.where(left, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
@@ -225,9 +238,9 @@ def _fit_one(
     reduction = 1.0 - np.minimum(least, errors.min(axis=0)) / np.maximum(
         remaining.energy, np.finfo(np.float64).tiny
     )
-    margin = AT_BOUND * (last - first)
+    margin = SEARCH.at_bound * (last - first)
     placed = np.log(values) if logarithmic else values
-    lowers = reduction > LEAST_F / sum(each.n_outputs for each in chosen)
+    lowers = reduction > SEARCH.least_f / sum(each.n_outputs for each in chosen)
     at_bound = lowers & ((placed < first + margin) | (placed > last - margin))
     determined = lowers & ~at_bound
     stated = tuple(
@@ -257,7 +270,7 @@ def credible_range(
     top = np.where(np.isfinite(limit) & (limit > 0), limit, moved.max(axis=0))
     slowest = np.array(
         [
-            np.quantile(v[v > 0.0], SLOWEST_SHARE) if np.any(v > 0.0) else parameter.lower
+            np.quantile(v[v > 0.0], SEARCH.slowest_share) if np.any(v > 0.0) else parameter.lower
             for v in moved.T
         ]
     )
@@ -279,7 +292,7 @@ class _Remaining:
             sizes = np.linalg.norm(columns, axis=1)
             present = sizes > 1e-12 * sizes.max(initial=0.0)
             _, s, vt = np.linalg.svd(columns[present] / sizes[present, None], full_matrices=False)
-            basis = vt[s > SAME_COLUMN * s.max(initial=0.0)]
+            basis = vt[s > SEARCH.same_column * s.max(initial=0.0)]
             self._bases.append(basis)
             self._torques.append(torque - basis.T @ (basis @ torque))
         self.energy = np.array([float(torque @ torque) for torque in self._torques])

@@ -27,12 +27,22 @@ from asbuilt.identification.information.triangular import triangular_factor
 
 Seed = np.random.Generator | int | None
 
-LINEAR_DRAWS = 1000
-REFITTED_DRAWS = 200
-LEAST_INFORMATION = 1e-6
-"""Part of the information in every direction that a valid draw has."""
-MOST_FAILURES = 0.1
-"""Largest share of invalid draws."""
+
+@dataclass(frozen=True, slots=True)
+class DrawRules:
+    """Hold how many draws a bootstrap makes, and which are valid."""
+
+    linear_draws: int = 1000
+    """Draws of an estimate that is linear in the torque."""
+    refitted_draws: int = 200
+    """Draws of any other estimate, each of which is a fit of its own."""
+    least_information: float = 1e-6
+    """Part of the information in every direction that a valid draw has."""
+    most_failures: float = 0.1
+    """Largest share of invalid draws."""
+
+
+DRAWS = DrawRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +101,7 @@ def redraw(
             ),
         )
     linear = estimate.refit is None
-    draws = (LINEAR_DRAWS if linear else REFITTED_DRAWS) if n_draws is None else n_draws
+    draws = (DRAWS.linear_draws if linear else DRAWS.refitted_draws) if n_draws is None else n_draws
     counts = np.random.default_rng(rng).multinomial(n, np.full(n, 1.0 / n), size=draws)
     with one_blas_thread():
         estimates = (
@@ -100,7 +110,7 @@ def redraw(
             else _refitted(information, estimate.weights, estimate.refit, counts)
         )
     refused = draws - len(estimates)
-    if refused > MOST_FAILURES * draws or len(estimates) < 2:
+    if refused > DRAWS.most_failures * draws or len(estimates) < 2:
         raise IdentifiabilityError(
             f"{refused} of {draws} bootstrap draws of {n} time blocks do not determine what the"
             " whole recording determines, since single blocks have information that others lack",
@@ -121,7 +131,7 @@ def _stepped(
     identity = np.eye(root.shape[1])
     for extra in more:
         values, axes = np.linalg.eigh(identity + np.tensordot(extra, gram, axes=1))
-        if values.min(initial=1.0) >= LEAST_INFORMATION:
+        if values.min(initial=1.0) >= DRAWS.least_information:
             estimates.append(estimate.beta + root @ (axes @ ((axes.T @ (extra @ score)) / values)))
     return estimates
 

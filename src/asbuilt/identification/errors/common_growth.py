@@ -12,12 +12,6 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
-LIKE = 0.1
-"""Relative distance of the information per sample below which blocks repeat a motion: 0.01 to 0.05
-in one motion recorded twice, over 0.18 between other blocks of six real robots.
-"""
-LEAST_UNABSORBED = 0.3
-"""Least part of what blocks share that a fit leaves: of few motions it absorbs almost all."""
 LEAST_LEFT = 0.05
 """Least `(1 - 2 p D / N)^2`: a fit that absorbs more of its residuals is not corrected further."""
 
@@ -135,7 +129,9 @@ def repetitions(information: SquareRootInformation, grams: Array) -> Mask:
     size = np.diag(products)
     total = size[:, None] + size
     apart = np.maximum(total - 2.0 * products, 0.0)
-    return np.asarray(np.triu(apart < LIKE**2 * total, 1))
+    # Relative distance of the information per sample below which blocks repeat a motion: 0.01 to
+    # 0.05 in one motion recorded twice, over 0.18 between other blocks of six real robots.
+    return np.asarray(np.triu(apart < 0.1**2 * total, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +156,8 @@ class _Shared:
 
         The fit takes its share of what is shared too, by which x is divided.
         """
-        left = max(1.0 - self.absorbed, LEAST_UNABSORBED)
+        # Least part of what blocks share that a fit leaves: of few motions it absorbs almost all.
+        left = max(1.0 - self.absorbed, 0.3)
         x, v = self.part / left, self.spread / rank / left**2
         return max(x - v / x, 0.0) if x > 0.0 else 0.0
 

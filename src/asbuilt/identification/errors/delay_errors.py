@@ -28,9 +28,6 @@ from asbuilt.identification.result.torque_prediction import model_torque
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-ALONE = 1e-9
-"""Squared part of a delay's column outside all others below which it is undetermined."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DelaySolution:
@@ -103,7 +100,8 @@ class DelayColumns:
         )
         left, whole = grams.sum(axis=0), D.sum(axis=0)
         m = shares.shape[-1]
-        found = np.flatnonzero(np.diag(left) > ALONE * np.maximum(np.diag(whole), TINY))
+        # Squared part of a delay's column outside all others below which it is undetermined.
+        found = np.flatnonzero(np.diag(left) > 1e-9 * np.maximum(np.diag(whole), TINY))
         increments, swell = np.zeros(m), np.ones(m)
         covariance = np.diag(np.full(m, np.inf))
         if found.size:

@@ -11,9 +11,6 @@ from asbuilt.arrays import Array
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
-NEGLIGIBLE = 1e-7
-"""Singular value of scaled columns, relative to the largest, below which a direction is empty."""
-
 DOUBT = 0.2
 """Standard error of what is taken away, as a share of it: noise is not quite white, friction not
 quite Coulomb's, and the replayed robot has errors itself. Settled on a virtual quadruped."""
@@ -50,7 +47,9 @@ class ExpectedScores:
             scale = np.linalg.norm(R, axis=0)
             scale = np.where(scale > 0.0, scale, 1.0)
             _, values, axes = np.linalg.svd(R / scale)
-            there = values > NEGLIGIBLE * values[0]
+            # Singular value of scaled columns, relative to the largest, below which a direction is
+            # empty.
+            there = values > 1e-7 * values[0]
             turned = axes[there] @ (score / scale) / values[there] ** 2
             found.append(axes[there].T @ turned / scale)
         return tuple(found)

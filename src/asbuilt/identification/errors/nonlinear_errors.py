@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 STEP = 1e-3
 """Relative step of a nonlinear parameter for the derivative of the torque."""
-ALONE = 1e-9
-"""Squared part of that derivative outside all linear columns below which it is undetermined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +115,8 @@ def nonlinear_errors(
     known, across = together[:r, :r], together[:r, r : r + m]
     own, moved = together[r : r + m, r : r + m], np.linalg.pinv(known, hermitian=True) @ across
     left = own - moved.T @ across
-    determined = np.flatnonzero(np.diag(left) > ALONE * np.diag(own)).tolist()
+    # Squared part of that derivative outside all linear columns below which it is undetermined.
+    determined = np.flatnonzero(np.diag(left) > 1e-9 * np.diag(own)).tolist()
     values = np.array([_value(base.drive, place) for place in places])
     errors = np.full(m, np.nan)
     if not determined:

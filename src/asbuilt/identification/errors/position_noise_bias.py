@@ -21,10 +21,6 @@ from asbuilt.identification.result.result import IdentificationResult
 
 TOO_MUCH = 0.4
 """Bias in standard errors from which 95 % intervals hold less than 93 %."""
-MOST_STATES = 400
-"""States of a recording over which W_k is averaged; it depends on the positions alone."""
-MOST_NAMED = 3
-"""Parameters named in the message."""
 
 
 def acceleration_noise(density: Array, band: float) -> Array:
@@ -48,7 +44,8 @@ def position_noise_bias(
     weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny) ** 2
     normal = np.zeros((base.n_base, base.n_base))
     for samples, variance in zip(training, noise, strict=True):
-        q = samples.q[:: max(1, -(-len(samples.q) // MOST_STATES))]
+        # States of a recording over which W_k is averaged; it depends on the positions alone.
+        q = samples.q[:: max(1, -(-len(samples.q) // 400))]
         still = np.zeros_like(q)
         rest = observation_matrix(model, q, still, still, drive=base.drive, columns=base.columns)
         for k in np.flatnonzero(variance > 0.0):
@@ -96,7 +93,8 @@ def position_noise_findings(
     found = np.flatnonzero(share > TOO_MUCH)
     if not found.size:
         return ()
-    worst = found[np.argsort(-share[found])][:MOST_NAMED]
+    # Parameters named in the message.
+    worst = found[np.argsort(-share[found])][:3]
     named = [f"{result.base.names[k]} by {share[k]:.2g}" for k in worst.tolist()]
     return (
         Finding(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,21 +31,29 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-BANDWIDTHS = 3.0
-"""Bandwidth of the simulated controller, in bandwidths of the motion's velocity."""
-LOWEST = 2.0
-"""Lowest bandwidth of the controller [Hz]."""
-STEP = 0.05
-"""Largest simulation step, in units of 1 / the controller's angular frequency."""
-LED_IN = 1.0
-"""Time [s] that each segment is simulated before it counts."""
-LEAST_INERTIA = 0.01
-"""Smallest eigenvalue of a positive definite mass matrix, in mean inertias of the joints."""
-SEGMENTS = 64
-"""Segments of a recording that are simulated side by side."""
-MOST_ITERATIONS = 4
-CONVERGENCE = 1e-2
-"""Change of the estimate, in standard errors, at which the iteration ends."""
+@dataclass(frozen=True, slots=True)
+class SimulationRules:
+    """Hold how the instruments are simulated, and when the iteration ends."""
+
+    bandwidths: float = 3.0
+    """Bandwidth of the simulated controller, in bandwidths of the motion's velocity."""
+    lowest: float = 2.0
+    """Lowest bandwidth of the controller [Hz]."""
+    step: float = 0.05
+    """Largest simulation step, in units of 1 / the controller's angular frequency."""
+    led_in: float = 1.0
+    """Time [s] that each segment is simulated before it counts."""
+    least_inertia: float = 0.01
+    """Smallest eigenvalue of a positive definite mass matrix, in mean inertias of the joints."""
+    segments: int = 64
+    """Segments of a recording that are simulated side by side."""
+    most_iterations: int = 4
+    """Most simulations, one for each estimate."""
+    convergence: float = 1e-2
+    """Change of the estimate, in standard errors, at which the iteration ends."""
+
+
+RULES = SimulationRules()
 
 
 @estimator(
@@ -71,8 +79,10 @@ def estimate_iv(data: EstimationData) -> Estimate:
     information, base = data.information, data.base
     start = estimate_wls(data)
     estimate, moves, iterations = start, np.inf, 0
-    hertz = max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in data.batches))
-    while moves > CONVERGENCE and iterations < MOST_ITERATIONS:
+    hertz = max(
+        RULES.lowest, RULES.bandwidths * max(_bandwidth(samples) for samples in data.batches)
+    )
+    while moves > RULES.convergence and iterations < RULES.most_iterations:
         simulated = [
             follow(data.model, base, estimate.beta, samples, hertz) for samples in data.batches
         ]
@@ -121,7 +131,7 @@ def follow(
         model, base, beta, samples.q[:: max(1, samples.n_samples // 200)]
     )
     w = 2.0 * np.pi * bandwidth
-    substeps = max(1, int(np.ceil(w / samples.rate / STEP)))
+    substeps = max(1, int(np.ceil(w / samples.rate / RULES.step)))
     h = 1.0 / (samples.rate * substeps)
     q, qd, qdd = (np.array(x) for x in (samples.q, samples.qd, samples.qdd))
     first, length, lead = _segments(samples)
@@ -173,7 +183,8 @@ def _inertia(
         inertia = np.diagonal(mass, axis1=1, axis2=2).mean(axis=0)
         if (
             inertia.min() > 0
-            and np.linalg.eigvalsh(mass / np.sqrt(np.outer(inertia, inertia))).min() > LEAST_INERTIA
+            and np.linalg.eigvalsh(mass / np.sqrt(np.outer(inertia, inertia))).min()
+            > RULES.least_inertia
         ):
             return links, rotors, inertia
     return np.zeros(10 * model.n_links), np.ones(model.n_joints), np.ones(model.n_joints)
@@ -181,13 +192,13 @@ def _inertia(
 
 def _segments(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return first sample, length and lead-in of each segment, none across a gap."""
-    longest = max(1, -(-samples.n_samples // SEGMENTS))
+    longest = max(1, -(-samples.n_samples // RULES.segments))
     first, length, lead = [], [], []
     for start, stop in samples.segments:
         for a in range(start, stop, longest):
             first.append(a)
             length.append(min(longest, stop - a))
-            lead.append(min(a - start, round(LED_IN * samples.rate)))
+            lead.append(min(a - start, round(RULES.led_in * samples.rate)))
     return np.array(first), np.array(length), np.array(lead)
 
 

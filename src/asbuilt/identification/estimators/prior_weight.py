@@ -18,8 +18,6 @@ Fits = Callable[[Array, float], Array]
 
 WEIGHTS = DESCENT
 """Costs of a divergence of 1 from CAD, in squared weighted residuals, largest first."""
-MOST_GROUPS = 8
-"""Groups of neighbouring blocks that are held out."""
 FEWEST_GROUPS = 3
 """Groups below which `DEFAULT_WEIGHT` is taken."""
 DEFAULT_WEIGHT = 100.0
@@ -50,7 +48,8 @@ def choose_weight(
     Breiman, Friedman, Olshen & Stone, 1984, section 3.4.3, on paired errors; Hastie, Tibshirani &
     Friedman, 2009, section 7.10).
     """
-    n_groups = min(MOST_GROUPS, information.n_blocks)
+    # Groups of neighbouring blocks that are held out.
+    n_groups = min(8, information.n_blocks)
     if n_groups < FEWEST_GROUPS:
         return WeightChoice(
             DEFAULT_WEIGHT,

@@ -16,26 +16,36 @@ from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 
-MAD_TO_SIGMA = 1.4826022185056018
-"""Standard deviation of a normal distribution in medians of the absolute deviation."""
-HUBER = 1.345
-"""Threshold of Huber's loss in robust standard deviations.
 
-95 % efficient for normal noise (Holland & Welsch, Communications in Statistics A6, 1977).
-"""
-BISQUARE = 4.685
-"""Threshold of Tukey's bisquare; also 95 % efficient (ibid.)."""
-MOST_ITERATIONS = 60
-SCALE_ITERATIONS = 25
-"""Iterations after which the scales are held fixed, so that the steps converge."""
-STEP = 1e-6
-"""Length of the last step, in standard errors of all parameters together."""
-NEGLIGIBLE = 1e-12
-"""Eigenvalue of the information, relative to the largest, below which a direction is ignored."""
-LEAST_SLOPE = 0.1
-"""Least mean of rho'', of a joint or along a direction."""
-OUTLYING = 4.0
-"""Residual of an outlier, in robust standard deviations."""
+@dataclass(frozen=True, slots=True)
+class RobustRules:
+    """Hold thresholds of the losses, and when the iteration ends."""
+
+    mad_to_sigma: float = 1.4826022185056018
+    """Standard deviation of a normal distribution in medians of the absolute deviation."""
+    huber: float = 1.345
+    """Threshold of Huber's loss in robust standard deviations.
+
+    95 % efficient for normal noise (Holland & Welsch, Communications in Statistics A6, 1977).
+    """
+    bisquare: float = 4.685
+    """Threshold of Tukey's bisquare; also 95 % efficient (ibid.)."""
+    most_iterations: int = 60
+    """Most iterations of weights and scales."""
+    scale_iterations: int = 25
+    """Iterations after which the scales are held fixed, so that the steps converge."""
+    step: float = 1e-6
+    """Length of the last step, in standard errors of all parameters together."""
+    negligible: float = 1e-12
+    """Eigenvalue of the information, relative to the largest, below which a direction is
+    ignored."""
+    least_slope: float = 0.1
+    """Least mean of rho'', of a joint or along a direction."""
+    outlying: float = 4.0
+    """Residual of an outlier, in robust standard deviations."""
+
+
+ROBUST = RobustRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +56,7 @@ class Loss:
     slope: Callable[[Array], Array]
 
 
-def huber_loss(threshold: float = HUBER) -> Loss:
+def huber_loss(threshold: float = ROBUST.huber) -> Loss:
     """Return Huber's loss, linear beyond the threshold (Huber, Ann. Math. Stat. 35, 1964)."""
     return Loss(
         lambda r: threshold / np.maximum(np.abs(r), threshold),
@@ -54,7 +64,7 @@ def huber_loss(threshold: float = HUBER) -> Loss:
     )
 
 
-def bisquare_loss(threshold: float = BISQUARE) -> Loss:
+def bisquare_loss(threshold: float = ROBUST.bisquare) -> Loss:
     """Return Tukey's bisquare, constant beyond the threshold (Technometrics 16, 1974)."""
 
     def share(r: Array) -> Array:
@@ -106,12 +116,12 @@ def _robust(
     floor = noise_floor(information)
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
     with one_blas_thread():
-        while not converged and iterations < MOST_ITERATIONS:
+        while not converged and iterations < ROBUST.most_iterations:
             residuals = _residuals(rows, beta)
-            if scale is None and iterations < SCALE_ITERATIONS:
+            if scale is None and iterations < ROBUST.scale_iterations:
                 sigma = np.array(
                     [
-                        max(MAD_TO_SIGMA * float(np.median(np.abs(_counting(e)))), floor)
+                        max(ROBUST.mad_to_sigma * float(np.median(np.abs(_counting(e)))), floor)
                         for e in residuals
                     ]
                 ) + np.where(information.has_torque, 0.0, np.inf)
@@ -128,11 +138,11 @@ def _robust(
                 score += root[support].T @ total[:, -1]
             step = np.linalg.lstsq(gram, score, rcond=None)[0]
             beta = beta + root @ step
-            converged = bool(step @ gram @ step <= STEP**2)
+            converged = bool(step @ gram @ step <= ROBUST.step**2)
             iterations += 1
         residuals = _residuals(rows, beta)
         standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
-        slope = np.array([max(float(np.mean(loss.slope(r))), LEAST_SLOPE) for r in standard])
+        slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
         slope = slope * _slope_where_it_counts(rows, residuals, sigma, slope, loss, root)
 
         def pseudo() -> Iterator[RowBlock]:
@@ -154,14 +164,14 @@ def _robust(
     fitted = fit_least_squares(
         solved, weights=np.sqrt(slope) / sigma, prior=data.prior, undetermined=data.undetermined
     )
-    outlying = np.array([float(np.mean(np.abs(r) > OUTLYING)) for r in standard])
+    outlying = np.array([float(np.mean(np.abs(r) > ROBUST.outlying)) for r in standard])
     worst = int(np.argmax(outlying))
     note = (
-        f"{100 * outlying.mean():.2g} % of the torques are beyond {OUTLYING:g} robust standard"
-        f" deviations and have less weight, most at joint {information.joint_names[worst]}"
+        f"{100 * outlying.mean():.2g} % of the torques are beyond {ROBUST.outlying:g} robust"
+        f" standard deviations and have less weight, most at joint {information.joint_names[worst]}"
         f" ({100 * outlying[worst]:.2g} %)."
         if outlying.any()
-        else f"No torque is beyond {OUTLYING:g} robust standard deviations."
+        else f"No torque is beyond {ROBUST.outlying:g} robust standard deviations."
     )
     return fitted.renewed(
         name,
@@ -193,11 +203,11 @@ def _slope_where_it_counts(
             assumed += slope[k] * seen @ seen.T
             found += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
     eigenvalues, vectors = np.linalg.eigh(assumed)
-    kept = eigenvalues > NEGLIGIBLE * eigenvalues.max(initial=0.0)
+    kept = eigenvalues > ROBUST.negligible * eigenvalues.max(initial=0.0)
     if not kept.any():
         return 1.0
     turned = vectors[:, kept] / np.sqrt(eigenvalues[kept])
-    parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), LEAST_SLOPE)
+    parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), ROBUST.least_slope)
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 
 
@@ -207,7 +217,7 @@ def outlying_share(data: EstimationData, robust: Estimate) -> tuple[float, float
         _counting(e) / s
         for e, s in zip(_residuals(data.rows, robust.beta), robust.sigma, strict=True)
     ]
-    share = float(np.mean([np.mean(np.abs(r) > OUTLYING) for r in standard]))
+    share = float(np.mean([np.mean(np.abs(r) > ROBUST.outlying) for r in standard]))
     return share, max(float(np.mean(r**2)) for r in standard)
 
 

@@ -14,11 +14,6 @@ from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import rank_tolerance
 from asbuilt.identification.information.triangular import triangular_factor
 
-LARGEST_SHARE = 0.9
-"""Ratio of the smallest singular values with and without torque above which no solution is given.
-
-At 1 the problem has no solution (Golub & Van Loan, 1980).
-"""
 EXACT_TERMS = ("Fo",)
 """Symbols of drive terms whose columns are constant, hence without error."""
 
@@ -72,7 +67,9 @@ def estimate_total(data: EstimationData) -> Estimate:
                 compute_uv=False,
             )[-1]
         )
-        if len(s) and smallest > LARGEST_SHARE * s[-1]:
+        # Ratio of the smallest singular values with and without torque above which no solution is
+        # given. At 1 the problem has no solution (Golub & Van Loan, 1980).
+        if len(s) and smallest > 0.9 * s[-1]:
             raise IdentifiabilityError(
                 f"total least squares has no reliable solution: errors of {smallest:.3g} of the"
                 " torque are as large as the contribution of the weakest combination of parameters"

@@ -14,8 +14,6 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 
 SMALLEST_INFORMATION = 1e-11
 """Scaled information, relative to the largest, below which least squares determine nothing."""
-BY_CHANCE = 0.05
-"""Probability by which physically inconsistent values that predict no better are chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +146,8 @@ def choose_candidate(
     totals = errors + beyond[:, None]
     consistent = [c for c, each in enumerate(candidates) if each.certain]
     best = consistent[int(np.argmin(totals[consistent].mean(axis=1)))] if consistent else 0
-    surely = float(stdtrit(max(len(parts) - 1, 1), 1.0 - BY_CHANCE))
+    # Probability by which physically inconsistent values that predict no better are chosen.
+    surely = float(stdtrit(max(len(parts) - 1, 1), 1.0 - 0.05))
     for c in range(len(candidates)):
         if c not in consistent and _exceeds(totals[best] - totals[c], surely):
             best = c

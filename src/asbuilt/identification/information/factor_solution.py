@@ -10,8 +10,6 @@ from scipy.linalg import lapack, qr
 from asbuilt.arrays import Array
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
-WELL_CONDITIONED = 1e7
-"""Scaled condition number (Frobenius) up to which substitution is as good as singular values."""
 NEGLIGIBLE_COEFFICIENT = 1e-6
 
 
@@ -131,7 +129,9 @@ def solve_fast(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array,
     if np.all(scale > 0.0):
         scaled = r / scale
         inverse, singular = lapack.dtrtri(scaled)
-        if not singular and np.linalg.norm(inverse) * np.linalg.norm(scaled) < WELL_CONDITIONED:
+        # Scaled condition number (Frobenius) up to which substitution is as good as singular
+        # values.
+        if not singular and np.linalg.norm(inverse) * np.linalg.norm(scaled) < 1e7:
             root = inverse / scale[:, None]
             return root @ factor[:-1, -1], root
     solution = solve_factor(factor, n_rows, toward)

@@ -12,10 +12,6 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-SINGULAR = 1e-10
-"""Variance of a direction, relative to the largest, that is rounding."""
-
-
 def determined_directions(
     result: IdentificationResult, *, with_bias: bool = True
 ) -> tuple[Array, Array, Array]:
@@ -34,7 +30,8 @@ def determined_directions(
     variances, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
     largest, short = max(float(variances[-1]), 0.0), max(0, len(variances) - result.rank)
     kept = variances > largest * len(variances) * np.finfo(float).eps
-    if short and variances[short - 1] <= SINGULAR * largest:
+    # Variance of a direction, relative to the largest, that is rounding.
+    if short and variances[short - 1] <= 1e-10 * largest:
         kept[:short] = False
     return scale, variances[kept], directions[:, kept]
 

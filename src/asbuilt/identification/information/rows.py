@@ -20,15 +20,23 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-SAMPLES_AT_ONCE = 2048
-"""Samples, before filtering, whose regressor is held at once."""
+@dataclass(frozen=True, slots=True)
+class RowRules:
+    """Hold how a recording is divided into blocks, and how much of it is held."""
+
+    samples_at_once: int = 2048
+    """Samples, before filtering, whose regressor is held at once."""
+    shortest_block: float = 1.0
+    """Shortest time block [s]."""
+    usual_blocks: int = 10
+    """Blocks of a short recording, so that standard errors can be estimated from them."""
+    most_held: float = 200e6
+    """Memory [bytes] of rows that are kept between passes; more are made again in every pass."""
+
+
+ROWS = RowRules()
 LONGEST_BLOCK = 5.0
 """Default length of a time block [s]."""
-SHORTEST_BLOCK = 1.0
-USUAL_BLOCKS = 10
-"""Blocks of a short recording, so that standard errors can be estimated from them."""
-MOST_HELD = 200e6
-"""Memory [bytes] of rows that are kept between passes; more are made again in every pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +101,7 @@ class SampleBlock:
         """
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
-        at_once = min(self.n_outputs, max(1, (SAMPLES_AT_ONCE - width) // step + 1))
+        at_once = min(self.n_outputs, max(1, (ROWS.samples_at_once - width) // step + 1))
         buffer = plan.buffer((at_once - 1) * step + width)
         output = plan.buffer(at_once) if parallel else buffer
         for first in range(self.first, self.last, at_once):
@@ -143,7 +151,9 @@ def sample_blocks(
         if seconds is None:
             seconds = float(
                 np.clip(
-                    sum(n for _, _, n in runs) / rate / USUAL_BLOCKS, SHORTEST_BLOCK, LONGEST_BLOCK
+                    sum(n for _, _, n in runs) / rate / ROWS.usual_blocks,
+                    ROWS.shortest_block,
+                    LONGEST_BLOCK,
                 )
             )
         for start, stop, n in runs:
@@ -233,7 +243,7 @@ class Rows:
             if kept is not None:
                 size += sum(rows.nbytes for rows in block.rows)
                 kept.append(block)
-                if size > MOST_HELD:
+                if size > ROWS.most_held:
                     kept = None
             yield block
         self._held = kept

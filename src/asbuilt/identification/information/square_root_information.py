@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 MOST_BLOCKS = 128
 """Half the number of blocks at which neighbours are merged, which bounds memory."""
-ROUNDED_LENGTH = 1.2
-"""Length of a merged block in block lengths; segments are cut into equal parts of other lengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,10 +423,8 @@ class _Gathering:
 
 
 def _near(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
-    return (
-        earlier.source == later.source
-        and 0.0 < later.stop - earlier.start <= ROUNDED_LENGTH * seconds
-    )
+    # Length of a merged block in block lengths; segments are cut into equal parts of other lengths.
+    return earlier.source == later.source and 0.0 < later.stop - earlier.start <= 1.2 * seconds
 
 
 def _merged(earlier: _Reduced, later: _Reduced) -> _Reduced:

@@ -11,9 +11,6 @@ from asbuilt.arrays import Array, Indices
 
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
-PANEL = 8
-"""Columns that one block reflector takes. The panels of `geqrf` are as wide as these matrices, so
-it works by vectors: with 30 to 60 columns `geqrt` takes half of its time."""
 
 
 def triangular_factor(rows: Array) -> Array:
@@ -90,6 +87,9 @@ class GrowingFactor:
         if self._filled > self._p:
             full = self._filled == self._rows.shape[1]
             rows = self._rows.T if full else self._rows[:, : self._filled].T.copy(order="F")
-            lapack.dgeqrt(min(PANEL, self._p), rows, overwrite_a=True)
+            # Columns that one block reflector takes. The panels of `geqrf` are as wide as these
+            # matrices, so it works by vectors: with 30 to 60 columns `geqrt` takes half of its
+            # time.
+            lapack.dgeqrt(min(8, self._p), rows, overwrite_a=True)
             self._rows[:, : self._p] = np.tril(rows[: self._p].T)
             self._filled = self._p

@@ -16,10 +16,6 @@ from asbuilt.identification.bodies.standard_parameters import (
 from asbuilt.identification.information.known_information import determined_directions
 from asbuilt.identification.result.result import IdentificationResult
 
-QUIETEST = 1e-6
-"""Least noise of a joint relative to the largest; its weight grows no further (simulations)."""
-INFORMATION_TOLERANCE = 1e-13
-"""Least scaled variance relative to the largest; directions below it are undetermined."""
 FAR_FROM_CAD = 1.5
 """Ratio of a link's mass to that of CAD, or its inverse, that no tolerance of CAD explains."""
 
@@ -83,7 +79,8 @@ def _torque_information(result: IdentificationResult) -> Array:
     """
     if result.cause_data is not None:
         places = result.cause_data.places(result.base.names)
-        quietest = np.finfo(np.float64).tiny + QUIETEST * float(
+        # Least noise of a joint relative to the largest; its weight grows no further (simulations).
+        quietest = np.finfo(np.float64).tiny + 1e-6 * float(
             result.sigma[np.isfinite(result.sigma)].max(initial=0.0)
         )
         rows = [
@@ -96,9 +93,8 @@ def _torque_information(result: IdentificationResult) -> Array:
     covariance = np.array(result.textbook_covariance)
     size = np.sqrt(np.diag(covariance))
     size[size == 0.0] = 1.0
+    # Least scaled variance relative to the largest; directions below it are undetermined.
     return np.asarray(
-        np.linalg.pinv(
-            covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True
-        )
+        np.linalg.pinv(covariance / np.outer(size, size), rcond=1e-13, hermitian=True)
         / np.outer(size, size)
     )

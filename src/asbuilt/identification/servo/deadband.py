@@ -6,13 +6,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording
+from asbuilt.identification.servo.block_fits import (
+    clustered,
+    logarithmic_error,
+    refined,
+    robust_residual,
+    usual_variances,
+)
 from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
-from asbuilt.identification.servo.servo_scale import block_weights, clustered, truncated_solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +37,6 @@ class DeadbandRules:
         Largest relative standard error of the width.
     accuracy
         Relative error by the filters, beside that by noise: virtual arms differ by up to 0.6 %.
-    passes
-        Passes of the robust weights of time blocks.
     half
         Blocks together that are fitted or validated.
     """
@@ -45,7 +48,6 @@ class DeadbandRules:
     worse: float = 2.0
     determined: float = 0.2
     accuracy: float = 0.01
-    passes: int = 4
     half: int = 5
 
 
@@ -108,7 +110,7 @@ def find_deadband(rows: Callable[[float], ServoRows], unknown: Mask) -> Deadband
     """
     joints = np.flatnonzero(unknown)
     plain = rows(0.0)
-    usual = _usual(plain, joints)
+    usual = usual_variances(plain, joints)
     kept: dict[float, Array] = {}
 
     def costs(width: float) -> Array:
@@ -124,14 +126,8 @@ def find_deadband(rows: Callable[[float], ServoRows], unknown: Mask) -> Deadband
         best, lowest = width, cost
     if best == 0.0 or not _better(costs(0.0) - costs(best), plain):
         return None
-    found = minimize_scalar(
-        lambda x: float(np.sum(costs(float(np.exp(x))))),
-        bounds=np.log(best) + np.log(RULES.ratio) * np.array([-1.0, 1.0]),
-        method="bounded",
-        options={"xatol": 2e-3},
-    )
-    width = float(np.exp(found.x))
-    error = _relative_error(costs, width, plain)
+    width = refined(costs, best, RULES.ratio, 2e-3)
+    error = logarithmic_error(costs, width, plain)
     if not error < RULES.determined or not _better(costs(0.0) - costs(width), plain):
         return None
     return Deadband(width, width * float(np.hypot(error, RULES.accuracy)))
@@ -153,31 +149,10 @@ def _costs(rows: ServoRows, plain: ServoRows, joints: Indices, usual: Array) -> 
     for row, k in enumerate(joints.tolist()):
         shrunk = max(rows.total(k)[-1, -1] / plain.total(k)[-1, -1], 1e-300)
         for here in (second, ~second):
-            left = rows.variances(k, _residual(rows, k, ~here)) / shrunk
-            cost = np.nan_to_num(rows.counts[k] * np.log1p(left / usual[row]))
+            left = rows.variances(k, robust_residual(rows, k, ~here)) / shrunk
+            cost = np.nan_to_num(rows.counts[k] * np.log1p(left / usual[k]))
             found[row, here] = cost[here]
     return found
-
-
-def _usual(plain: ServoRows, joints: Indices) -> Array:
-    """Return the median mean square of the residuals of each joint over blocks (n joints,)."""
-    usual = np.ones(joints.size)
-    everywhere = np.ones(len(plain.times), dtype=np.bool_)
-    for row, k in enumerate(joints.tolist()):
-        variances = plain.variances(k, _residual(plain, k, everywhere))
-        if np.any(np.isfinite(variances)):
-            usual[row] = max(float(np.nanmedian(variances)), 1e-300)
-    return usual
-
-
-def _residual(rows: ServoRows, k: int, used: Mask) -> Array:
-    """Return the residual of a joint's fit to some blocks, as a combination of its rows."""
-    weight = used.astype(np.float64)
-    for _ in range(RULES.passes):
-        gram = rows.total(k, weight)
-        x = truncated_solution(gram[:-1, :-1], gram[:-1, -1])
-        weight = used * block_weights(rows, k, np.append(-x, 1.0))
-    return np.append(-x, 1.0)
 
 
 def _better(fall: Array, rows: ServoRows) -> bool:
@@ -192,12 +167,3 @@ def _sigmas(parts: Array) -> float:
     """Return the sum of independent parts in its standard errors."""
     spread = float(np.sqrt(np.sum((parts - parts.mean()) ** 2) * parts.size / (parts.size - 1)))
     return float(parts.sum()) / max(spread, 1e-300) if parts.size > 1 else 0.0
-
-
-def _relative_error(costs: Callable[[float], Array], width: float, rows: ServoRows) -> float:
-    """Return the standard error of the logarithm of the width, from the scores of the blocks."""
-    step = 0.05
-    up, down = (costs(float(width * np.exp(s * step))).sum(axis=0) for s in (1.0, -1.0))
-    scores = clustered((up - down) / (2.0 * step), rows)
-    curvature = float(np.sum(up + down - 2.0 * costs(width).sum(axis=0))) / step**2
-    return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")

@@ -7,15 +7,20 @@ from dataclasses import dataclass, replace
 from itertools import chain as chain_of
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.command.servo_torque import command_rate, held_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.information.rows import TimeBlock
+from asbuilt.identification.servo.block_fits import (
+    clustered,
+    logarithmic_error,
+    refined,
+    robust_residual,
+    usual_variances,
+)
 from asbuilt.identification.servo.servo_rows import ServoRows
-from asbuilt.identification.servo.servo_scale import block_weights, clustered, truncated_solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +42,6 @@ class GoalRules:
         standard errors.
     determined
         Largest relative standard error.
-    passes
-        Passes of the robust weights of time blocks.
     """
 
     slowest: float = 0.15
@@ -47,7 +50,6 @@ class GoalRules:
     visible: float = 0.15
     significance: float = 9.0
     determined: float = 0.2
-    passes: int = 4
 
 
 RULES = GoalRules()
@@ -115,7 +117,7 @@ def find_goal_limit(
     if first is None:
         return None
     plain = rows(limited(servo, np.inf))
-    usual = _usual(plain, joints)
+    usual = usual_variances(plain, joints)
     without = _costs(plain, joints, usual)
     kept: dict[float, Array] = {}
 
@@ -134,14 +136,8 @@ def find_goal_limit(
     best = tried[int(np.argmin(sums))]
     if not _better(without - costs(best), plain, joints):
         return None
-    found = minimize_scalar(
-        lambda x: float(np.sum(costs(float(np.exp(x))))),
-        bounds=np.log(best) + np.log(RULES.ratio) * np.array([-1.0, 1.0]),
-        method="bounded",
-        options={"xatol": 5e-3},
-    )
-    limit = float(np.exp(found.x))
-    error = _relative_error(costs, limit, plain)
+    limit = refined(costs, best, RULES.ratio, 5e-3)
+    error = logarithmic_error(costs, limit, plain)
     if not error < RULES.determined:
         return None
     return GoalLimit(
@@ -193,42 +189,13 @@ def _better(fall: Array, rows: ServoRows, joints: Indices) -> bool:
     return float(np.sum(fall)) * min(share, 1.0) > RULES.significance
 
 
-def _relative_error(costs: Callable[[float], Array], limit: float, rows: ServoRows) -> float:
-    """Return the standard error of the logarithm of the limit, from the scores of the blocks."""
-    step = 0.05
-    up, down = costs(limit * np.exp(step)), costs(limit * np.exp(-step))
-    scores = clustered((up - down) / (2.0 * step), rows)
-    curvature = float(np.sum(up + down - 2.0 * costs(limit))) / step**2
-    return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")
-
-
-def _usual(rows: ServoRows, joints: Indices) -> Array:
-    """Return the median mean square of the residuals of each joint over blocks (n,)."""
-    usual = np.ones(len(rows.support))
-    for k in joints.tolist():
-        variances = _variances(rows, k)
-        if np.any(np.isfinite(variances)):
-            usual[k] = max(float(np.nanmedian(variances)), 1e-300)
-    return usual
-
-
 def _costs(rows: ServoRows, joints: Indices, usual: Array) -> Array:
     """Return the cost of each block (B,)."""
     return np.asarray(
         sum(
-            np.nan_to_num(rows.counts[k] * np.log1p(_variances(rows, k) / usual[k]))
+            np.nan_to_num(
+                rows.counts[k] * np.log1p(rows.variances(k, robust_residual(rows, k)) / usual[k])
+            )
             for k in joints.tolist()
         )
     )
-
-
-def _variances(rows: ServoRows, k: int) -> Array:
-    """Return the mean square of a joint's residual in each block (B,), NaN if it has few rows."""
-    free = np.arange(rows.support[k].size + 2)
-    weight = np.ones(len(rows.times))
-    for _ in range(RULES.passes):
-        gram = rows.total(k, weight)
-        x = truncated_solution(gram[np.ix_(free, free)], gram[free, -1])
-        residual = np.append(-x, 1.0)
-        weight = block_weights(rows, k, residual)
-    return rows.variances(k, residual)

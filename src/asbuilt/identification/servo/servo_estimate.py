@@ -26,7 +26,7 @@ from asbuilt.identification.servo.goal_limit import (
     find_goal_limit,
     limited,
 )
-from asbuilt.identification.servo.servo_delay_errors import DelaySlopes
+from asbuilt.identification.servo.servo_delay import DelaySlopes
 from asbuilt.identification.servo.servo_errors import ServoErrors
 from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
 from asbuilt.identification.servo.settling import Settling
@@ -34,8 +34,6 @@ from asbuilt.identification.servo.settling import Settling
 UNEXPLAINED = 3.0
 """Residual of a second, in those of the median second, from which it has another cause than those
 of the model: contact, or a limit of the servo. Residuals of friction stay below."""
-AHEAD = 1e-3
-"""Time [s] by which a torque may precede its command for reasons of sampling: own choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +70,8 @@ class ServoEstimate:
 def precedes_command(found: ServoEstimate) -> bool:
     """Whether the torque precedes its command by three standard errors, which no delay does."""
     error = found.errors.delay
-    return bool(error > 0.0 and (found.servo.delay or 0.0) + 3.0 * error < -AHEAD)
+    # 1e-3: time [s] by which a torque may precede its command for reasons of sampling: own choice.
+    return bool(error > 0.0 and (found.servo.delay or 0.0) + 3.0 * error < -1e-3)
 
 
 def estimate_servo(

@@ -26,8 +26,8 @@ from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.expected_scores import ExpectedScores
+from asbuilt.identification.servo.block_fits import block_weights, clustered
 from asbuilt.identification.servo.servo_rows import CommandedMotion, ServoRows, servo_rows
-from asbuilt.identification.servo.servo_scale import block_weights, clustered
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot

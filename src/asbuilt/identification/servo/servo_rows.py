@@ -31,14 +31,22 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import SampleBlock, TimeBlock, sample_blocks
 
-FEWEST = 5
-"""Rows of a joint in a block below which it says nothing of the residual."""
-BLOCK = 1.0
-"""Length of a time block [s], short enough to leave out contact and little else."""
-RUN = 8
-"""Time blocks whose rows are made at once."""
-MOST_HELD = 50e6
-"""Memory [bytes] of the rows of a recording that are kept; more are made again each time."""
+
+@dataclass(frozen=True, slots=True)
+class BlockRules:
+    """Hold how the rows of a servo are divided into blocks, and how many are held."""
+
+    fewest: int = 5
+    """Rows of a joint in a block below which it says nothing of the residual."""
+    block: float = 1.0
+    """Length of a time block [s], short enough to leave out contact and little else."""
+    run: int = 8
+    """Time blocks whose rows are made at once."""
+    most_held: float = 50e6
+    """Memory [bytes] of the rows of a recording that are kept; more are made again each time."""
+
+
+BLOCKS = BlockRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +74,9 @@ class ServoRows:
         """Return the mean square in each block of a combination of the rows (B,), NaN if few."""
         energy = np.einsum("i,bij,j->b", residual, self.grams[joint], residual)
         count = self.counts[joint]
-        return np.where(count >= FEWEST, np.maximum(energy, 0.0) / np.maximum(count, 1), np.nan)
+        return np.where(
+            count >= BLOCKS.fewest, np.maximum(energy, 0.0) / np.maximum(count, 1), np.nan
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,13 +192,15 @@ class CommandedMotion:
 
     @cached_property
     def _blocks(self) -> tuple[tuple[SampleBlock, ...], ...]:
-        """Neighbouring time blocks of a segment, `RUN` at a time."""
+        """Neighbouring time blocks of a segment, `BLOCKS.run` at a time."""
         found: list[tuple[SampleBlock, ...]] = []
         for _, same in groupby(
-            sample_blocks(self.model, [self._velocity], BLOCK), key=lambda block: block.start
+            sample_blocks(self.model, [self._velocity], BLOCKS.block), key=lambda block: block.start
         ):
             blocks = tuple(same)
-            found += [blocks[first : first + RUN] for first in range(0, len(blocks), RUN)]
+            found += [
+                blocks[first : first + BLOCKS.run] for first in range(0, len(blocks), BLOCKS.run)
+            ]
         return tuple(found)
 
     @cached_property
@@ -196,7 +208,7 @@ class CommandedMotion:
         """The rows of all blocks; None if they are too many to keep."""
         outputs = sum(block.n_outputs for blocks in self._blocks for block in blocks)
         rows = sum(own.size + 1 for own in self.support)
-        if 8.0 * outputs * rows > MOST_HELD:
+        if 8.0 * outputs * rows > BLOCKS.most_held:
             return None
         return tuple(map(self._run, self._blocks))
 

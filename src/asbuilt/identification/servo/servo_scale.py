@@ -11,6 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.terms.offset import Offset
+from asbuilt.identification.servo.block_fits import block_weights, clustered
 from asbuilt.identification.servo.servo_rows import ServoRows
 
 Scale = Literal["gravity", "inertia"]
@@ -37,8 +38,6 @@ class ScaleRules:
 
 
 RULES = ScaleRules()
-CLUSTER = 5
-"""Blocks together within which residuals are taken to be correlated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,30 +146,3 @@ def _not_constant(base: BaseParameters) -> list[int]:
     """Return the drive columns of a joint that are no constant torque."""
     symbols = [symbol for term in base.drive.terms for symbol in term.symbols]
     return [i for i, symbol in enumerate(symbols) if symbol not in Offset.symbols]
-
-
-def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
-    """Return `1 / (1 + r / median(r))` with the residual variance r of a joint in each block."""
-    left = rows.variances(k, residual)
-    if np.all(np.isnan(left)):
-        return np.ones(left.size)
-    return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
-
-
-def truncated_solution(normal: Array, right: Array, smallest: float = 1e-10) -> Array:
-    """Return the least solution of normal equations, scaled, without directions of no information.
-
-    Eigenvalues of the scaled matrix below `smallest` times the largest count as none.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    values, axes = np.linalg.eigh(normal * np.outer(scale, scale))
-    kept = values > smallest * values[-1]
-    along = axes[:, kept].T @ (scale * right) / values[kept]
-    return np.asarray(scale * (axes[:, kept] @ along))
-
-
-def clustered(scores: Array, rows: ServoRows) -> Array:
-    """Return the sums of scores (B, ...) over neighbouring blocks, `CLUSTER` at a time."""
-    sources = np.array([each.source for each in rows.times])
-    firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
-    return np.asarray(np.add.reduceat(scores, firsts))

@@ -36,8 +36,6 @@ class ServoIterations:
 ITERATIONS = ServoIterations()
 USUAL_SLOPES = (0.3, 3.0)
 """Range of the slope by which steps fall per delay, 1 if they lead to the best one at once."""
-LEAST = 0.1
-"""Smallest eigenvalue of the inertia of a link that is replayed, in that of CAD: own choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,13 +93,15 @@ class Settling:
         """
         at, replayed = self._alternated(late, None), None
         for last in (False,) * (ITERATIONS.replays - 1) + (True,):
+            # Smallest eigenvalue of the inertia of a link that is replayed, in that of CAD: own
+            # choice.
             replayed = replay(
                 self.model,
                 self.base,
                 self.recordings,
                 at.servo,
                 self.chain,
-                self.design.made_consistent(at.found.parameters, LEAST),
+                self.design.made_consistent(at.found.parameters, 0.1),
                 self.holdout,
                 roughly=not last,
             )

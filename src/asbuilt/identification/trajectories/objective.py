@@ -22,16 +22,26 @@ from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.start_elimination import StartModel, eliminate_starts
 from asbuilt.identification.trajectories.windows import Windows
 
-DRIVE_RIDGE = 1e-4
-"""Weight of drive parameters toward their start, which matters only if they are undetermined."""
-SMALLEST = 1e-6
-"""Least error of a start [rad, m, rad/s or m/s]."""
-MOST_KEPT = 2e7
-"""Numbers of derivatives that are kept for other weights."""
+
+@dataclass(frozen=True, slots=True)
+class ObjectiveRules:
+    """Hold weights of the objective, and when a parameter is undetermined."""
+
+    drive_ridge: float = 1e-4
+    """Weight of drive parameters toward their start, which matters only if they are
+    undetermined."""
+    smallest: float = 1e-6
+    """Least error of a start [rad, m, rad/s or m/s]."""
+    most_kept: float = 2e7
+    """Numbers of derivatives that are kept for other weights."""
+    mostly: float = 0.5
+    """Share of its variance by prior and torque rows from which a parameter is left
+    undetermined."""
+
+
+RULES = ObjectiveRules()
 Slopes = Callable[[], Iterator[tuple[Branch, slice, Array]]]
 """What yields the derivatives of the windows of a recording, branch by branch."""
-MOSTLY = 0.5
-"""Share of its variance by prior and torque rows from which a parameter is left undetermined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,8 +165,8 @@ class Objective:
         """
         found = []
         for cut in self.windows:
-            error = np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0) + SMALLEST**2
-            speed = np.mean(cut.start_qd**2, axis=0) + SMALLEST**2
+            error = np.mean((cut.q[:, 0] - cut.start_q) ** 2, axis=0) + RULES.smallest**2
+            speed = np.mean(cut.start_qd**2, axis=0) + RULES.smallest**2
             found.append(1.0 / np.stack([error, speed]))
         return tuple(found)
 
@@ -247,7 +257,7 @@ class Objective:
             for cut, motion in zip(self.windows, motions, strict=True)
         ]
         size = sum(cut.n_windows * cut.n_samples for cut in self.windows)
-        if size * self.trajectories.model.n_joints * np.count_nonzero(needed) > MOST_KEPT:
+        if size * self.trajectories.model.n_joints * np.count_nonzero(needed) > RULES.most_kept:
             return tuple(found)
         return tuple(partial(iter, list(each())) for each in found)
 
@@ -374,7 +384,7 @@ class Objective:
         rest = quadratic.matrix[at] - quadratic.data[at]
         held[self.free] = np.diag(inverse @ rest @ inverse) / np.diag(inverse)
         drives = range(10 * self.n_links, self.size)
-        return tuple(names[k] for k in drives if held[k] > MOSTLY)
+        return tuple(names[k] for k in drives if held[k] > RULES.mostly)
 
     def _to_parameters(self, point: Point) -> Array:
         """Return how base and servo parameters follow from the coordinates, (p_z, m)."""
@@ -428,7 +438,7 @@ class Objective:
         """Return the weight (m,) of drive and servo parameters toward their start."""
         ridge = np.zeros(self.size)
         n = 10 * self.n_links
-        ridge[n : len(self.start.chi)] = DRIVE_RIDGE / self.prior.drive_scale**2
+        ridge[n : len(self.start.chi)] = RULES.drive_ridge / self.prior.drive_scale**2
         ridge[len(self.start.chi) :] = self.of_servo.weights
         return ridge
 

@@ -19,21 +19,30 @@ from asbuilt.identification.trajectories.servo_coordinates import ServoCoordinat
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 
-SAME_SAMPLES = 0.01
-"""Weight of torque rows whose samples are simulated too, so that none counts twice; they decide
-where trajectories leave a direction open."""
-BELIEF = 10.0
-"""Weight of the divergence of links from CAD: about a third of a link, in every direction."""
-STIFFER = 4.0
-"""Factor of the stiffness of the other start of an unknown servo."""
-CHANCE = 4.5
-"""Fall of the logarithmic likelihood that is beyond chance: three standard errors of a number."""
+
+@dataclass(frozen=True, slots=True)
+class FitRules:
+    """Hold weights of a refined fit, and how much is simulated for it."""
+
+    same_samples: float = 0.01
+    """Weight of torque rows whose samples are simulated too, so that none counts twice; they decide
+    where trajectories leave a direction open."""
+    belief: float = 10.0
+    """Weight of the divergence of links from CAD: about a third of a link, in every direction."""
+    stiffer: float = 4.0
+    """Factor of the stiffness of the other start of an unknown servo."""
+    chance: float = 4.5
+    """Fall of the logarithmic likelihood that is beyond chance: three standard errors of a
+    number."""
+    most_seconds: float = 60.0
+    """Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
+
+
+RULES = FitRules()
 FEW, FEWEST = Steps(rounds=1, most=8), Steps(rounds=1, most=4)
 """Steps by which starts are compared: two, and many that lie along a valley."""
 LATE = (0.0, 0.005, 0.01, 0.015, 0.02)
 """Delays [s] from which a lead is sought: positions of servo and log are up to a sample late."""
-MOST_SECONDS = 60.0
-"""Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +86,7 @@ def refine_fit(
     servo: PositionServo | None,
     *,
     of_servo: ServoCoordinates | None = None,
-    belief: float = BELIEF,
+    belief: float = RULES.belief,
     begin: Array | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RefinedFit:
@@ -114,7 +123,7 @@ def refine_fit(
     wanted, windows = of_servo or ServoCoordinates(delay=True), thinned_windows(windows)
     starts = tuple(np.stack([cut.start_q, cut.start_qd], axis=1) for cut in windows)
     start = Point(chi, servo, starts)
-    share = SAME_SAMPLES * fit.uncertainty.effective_samples / fit.information.n_samples
+    share = RULES.same_samples * fit.uncertainty.effective_samples / fit.information.n_samples
     trajectories = Trajectories(model, base)
     objective = Objective(
         trajectories,
@@ -208,8 +217,8 @@ def _better_start(objective: Objective, start: Point, servo: PositionServo) -> P
     chi = start.chi.copy()
     links = 10 * objective.n_links
     chi[:links] = objective.prior.parameters[:links]
-    chi[links:] *= STIFFER
-    stiffer = replace(servo, kp=tuple(STIFFER * kp for kp in servo.kp), delay=0.0)
+    chi[links:] *= RULES.stiffer
+    stiffer = replace(servo, kp=tuple(RULES.stiffer * kp for kp in servo.kp), delay=0.0)
     tried = [
         refine(objective, each, steps=FEW)
         for each in (start, replace(start, chi=chi, servo=stiffer))
@@ -253,13 +262,13 @@ def _with_lead(objective: Objective, start: Point, servo: PositionServo) -> tupl
     worse = ahead.cost(other.point, other.motions, plain.weights) - objective.cost(
         plain.point, plain.motions, plain.weights
     )
-    return (objective, plain.point) if worse > CHANCE else (ahead, other.point)
+    return (objective, plain.point) if worse > RULES.chance else (ahead, other.point)
 
 
 def thinned_windows(windows: Sequence[Windows]) -> tuple[Windows, ...]:
-    """Return every k-th window, so that together they last `MOST_SECONDS`."""
+    """Return every k-th window, so that together they last `RULES.most_seconds`."""
     total = sum(each.n_windows * each.horizon for each in windows)
-    every = max(1, int(np.ceil(total / MOST_SECONDS)))
+    every = max(1, int(np.ceil(total / RULES.most_seconds)))
     count, chosen = 0, list[Windows]()
     for each in windows:
         at = np.arange((-count) % every, each.n_windows, every)

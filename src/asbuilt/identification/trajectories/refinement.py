@@ -44,8 +44,6 @@ KEPT = (0.7, 1.0)
 """Parts of their old start that windows keep which spoil a step, tried in turn."""
 FEW = 0.25
 """Largest share of windows that count as few."""
-LARGEST_RISE = 1e12
-"""What the cost of a window that diverges counts as, in units of the logarithmic likelihood."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,8 +206,9 @@ def _spared(
     other = objective.other_cost(tried)
     for share in (*KEPT, None):
         after = objective.window_costs(tried, motions, weights)
+        # What the cost of a window that diverges counts as, in units of the logarithmic likelihood.
         rise = [
-            np.minimum(np.nan_to_num(new - old, nan=np.inf), LARGEST_RISE)
+            np.minimum(np.nan_to_num(new - old, nan=np.inf), 1e12)
             for new, old in zip(after, before, strict=True)
         ]
         all_rises = np.sort(np.concatenate(rise))[::-1]

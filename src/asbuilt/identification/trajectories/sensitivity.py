@@ -29,8 +29,6 @@ from asbuilt.identification.trajectories.windows import Windows
 
 IN_MATRICES = ("armature", "viscous", "motor_armature", "motor_viscous")
 """Drive terms that enter the equations of motion as constant matrices."""
-AT_ONCE = 3e7
-"""Numbers held at once by the derivatives of a chunk of windows."""
 SMALL = 1e-6
 """Step of finite differences of drive terms [rad, rad/s]."""
 
@@ -167,7 +165,8 @@ class Trajectories:
         n = self.model.n_joints
         most = max(len(each.parameters) + 2 * len(each.joints) for each in branches)
         size = windows.n_steps * n * (3 * n + most)
-        chunk = max(1, int(AT_ONCE / size))
+        # Numbers held at once by the derivatives of a chunk of windows.
+        chunk = max(1, int(3e7 / size))
         for start in range(0, windows.n_windows, chunk):
             part = slice(start, min(start + chunk, windows.n_windows))
             yield from (

@@ -23,12 +23,6 @@ from asbuilt.dynamics.kernels.stack_machine import run
 
 SLOWEST = 1e-9
 """Speed at which the friction of a joint at rest is evaluated [rad/s or m/s]."""
-ROUNDS = 60
-"""Most rounds of the friction solver."""
-SETTLED = 1e-12
-"""Change of the friction impulses, relative to the largest, at which it stops."""
-LOST = 1e4
-"""Velocity from which a simulation counts as diverged."""
 
 
 @part
@@ -150,7 +144,8 @@ def _rubbed(L, first, h, odd, friction, v, W, column, n):
         return
     for j in range(n):
         W[j, j] = 0.0
-    for _ in range(ROUNDS):
+    # Most rounds of the friction solver.
+    for _ in range(60):
         change = 0.0
         for j in range(n):
             bound = h * max(odd[j], 0.0)
@@ -167,7 +162,8 @@ def _rubbed(L, first, h, odd, friction, v, W, column, n):
                 change = max(change, abs(moved))
                 for i in range(n):
                     v[i] -= W[j, i] * moved
-        if change <= SETTLED * largest:
+        # Change of the friction impulses, relative to the largest, at which it stops.
+        if change <= 1e-12 * largest:
             break
 
 
@@ -264,7 +260,8 @@ def simulate(
                     free[k] = rate[k] + h * free[k]
                 _rubbed(M, first, h, odd, friction, free, W, column, n)
             for k in range(n):
-                alive = alive and abs(free[k]) < LOST
+                # Velocity from which a simulation counts as diverged.
+                alive = alive and abs(free[k]) < 1e4
             for k in range(n):
                 held = odd[k] > 0.0 and abs(friction[k]) < h * odd[k]
                 if held:

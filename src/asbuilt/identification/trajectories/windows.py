@@ -17,8 +17,6 @@ from asbuilt.identification.trajectories.drive_signal import DrivenBy, DriveSign
 
 FEWEST = 3
 """Fewest samples of a window: the state at its start and two to compare."""
-LONGEST_STEP = 1e-3
-"""Longest step of a simulation [s]; a period of the log is divided into equal steps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +51,8 @@ class Windows:
     start_q: Array
     start_qd: Array
     signal: DriveSignal
-    longest_step: float = LONGEST_STEP
+    # Longest step of a simulation [s]; a period of the log is divided into equal steps.
+    longest_step: float = 1e-3
 
     @property
     def n_windows(self) -> int:

@@ -11,11 +11,6 @@ from asbuilt.identification.estimators.methods import methods
 from asbuilt.ranges import Range, check_ranges
 from asbuilt.workflow.options import StudyOptions
 
-MOST_WORKERS = 1024
-"""Processes of one machine."""
-FALSELY_NAMED = 0.05
-"""Usual share of the robots named that may not have changed."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetOptions:
@@ -29,12 +24,13 @@ class FleetOptions:
         Address of a Dask scheduler whose workers reduce the logs in their place.
     """
 
+    # Processes of one machine.
     workers: int | None = field(
         default=None,
         metadata={
             "help": "processes that reduce logs (default: one for each core)",
             "metavar": "N",
-            "range": Range(0, MOST_WORKERS),
+            "range": Range(0, 1024),
         },
     )
     scheduler: str | None = field(
@@ -121,8 +117,9 @@ class FleetDriftOptions:
         If it is not between 0 and 1.
     """
 
+    # 0.05: usual share of the robots named that may not have changed.
     false_discovery_rate: float = field(
-        default=FALSELY_NAMED,
+        default=0.05,
         metadata={
             "metavar": "SHARE",
             "help": "share of the robots named that may not have changed",

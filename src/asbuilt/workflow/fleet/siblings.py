@@ -28,15 +28,25 @@ from asbuilt.workflow.fleet.ledger.ledger import Ledger
 
 SIBLINGS = "siblings"
 """Name of the method of the estimate."""
-FEWEST = 4
-"""Siblings without which there is no spread."""
-UNLIKE = 0.01
-"""Probability of a difference from the siblings below which their prior is not used."""
-SMALLEST = 1e-10
-"""Scaled information, relative to the largest, below which a robot's data have none."""
-LEAST_SPREAD = 0.05
-"""Least variance between robots, in that of their estimates."""
-BLOCKS = 24
+
+
+@dataclass(frozen=True, slots=True)
+class SiblingRules:
+    """Hold when siblings inform about a robot."""
+
+    fewest: int = 4
+    """Siblings without which there is no spread."""
+    unlike: float = 0.01
+    """Probability of a difference from the siblings below which their prior is not used."""
+    smallest: float = 1e-10
+    """Scaled information, relative to the largest, below which a robot's data have none."""
+    least_spread: float = 0.05
+    """Least variance between robots, in that of their estimates."""
+    blocks: int = 24
+    """Blocks to which the logs of a sibling are merged."""
+
+
+RULES = SiblingRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,10 +101,10 @@ def sibling_prior(ledger: Ledger, robot_id: str, entries: Sequence[Entry]) -> Si
             if each.settings.digest == settings.digest
         ]
         if logs:
-            found[other] = joined_entries(logs, BLOCKS)
-    if len(found) < FEWEST:
+            found[other] = joined_entries(logs, RULES.blocks)
+    if len(found) < RULES.fewest:
         raise IdentifiabilityError(
-            f"{robot_id} has {len(found)} siblings in the ledger; a prior needs {FEWEST}",
+            f"{robot_id} has {len(found)} siblings in the ledger; a prior needs {RULES.fewest}",
             cure=Cure("identify it without a prior, or add logs of its siblings"),
         )
     return prior_of(settings.model, settings.base, found)
@@ -128,7 +138,7 @@ def prior_of(
     T = (1.0 - share) * T + share * np.diag(np.diag(T))
     scale = np.sqrt(np.where(np.diag(S) > 0.0, np.diag(S), 1.0))
     values, axes = np.linalg.eigh(T / np.outer(scale, scale))
-    T = (axes * np.maximum(values, LEAST_SPREAD)) @ axes.T * np.outer(scale, scale)
+    T = (axes * np.maximum(values, RULES.least_spread)) @ axes.T * np.outer(scale, scale)
     T *= 1.0 + 1.0 / m
     weights = np.median([fit.weights for fit in fits], axis=0)
     plain = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
@@ -149,7 +159,7 @@ def estimate_with_siblings(
     square, r = _distance(prior, information)
     p_value = float(fdtrc(r, max(prior.degrees, 1), square / prior.dispersion)) if r else 1.0
     m = len(prior.robot_ids)
-    if p_value < UNLIKE:
+    if p_value < RULES.unlike:
         return None, (
             Finding(
                 "unlike_siblings",
@@ -198,7 +208,7 @@ def _distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[
     A = R[:-1, :-1] @ L
     error = R[:-1, -1] - R[:-1, :-1] @ prior.mean
     values, axes = np.linalg.eigh(A.T @ A)
-    kept = np.flatnonzero(values > max(1.0, SMALLEST * values[-1]))
+    kept = np.flatnonzero(values > max(1.0, RULES.smallest * values[-1]))
     if not kept.size:
         return 0.0, 0
     found = axes[:, kept].T @ (A.T @ error) / values[kept]

@@ -33,16 +33,25 @@ from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
 from asbuilt.workflow.simulation.rollout import Simulated, SimulatedParts
 
-USUAL = 0.5
-"""Length of the windows [s] unless rollouts are asked for."""
-LONGEST = 1.0
-"""Longest windows [s]: errors of the state at the start and unmodelled effects add up in them."""
-NO_EFFECT = 0.5
-"""Mean fall of the logarithmic likelihood by a parameter without effect."""
-WORTH = 1.0
-"""Fall by a parameter from which a fit predicts better (Akaike, IEEE Trans. Automatic Control 19,
-1974; the variance of scores is counted, Burnham and Anderson, Model Selection, 2002, section 2.5).
-"""
+
+@dataclass(frozen=True, slots=True)
+class RefinementRules:
+    """Hold lengths of windows, and when a refinement is worth its parameters."""
+
+    usual: float = 0.5
+    """Length of the windows [s] unless rollouts are asked for."""
+    longest: float = 1.0
+    """Longest windows [s]: errors of the state at the start and unmodelled effects add up
+    in them."""
+    no_effect: float = 0.5
+    """Mean fall of the logarithmic likelihood by a parameter without effect."""
+    worth: float = 1.0
+    """Fall by a parameter from which a fit predicts better (Akaike, IEEE Trans. Automatic Control
+    19, 1974; the variance of scores is counted, Burnham and Anderson, Model Selection, 2002,
+    section 2.5)."""
+
+
+RULES = RefinementRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +155,7 @@ def refine_study(
     if len(kinds) != 1:
         raise UsageError("trajectories under torques and under commands cannot be fitted together")
     began, given = time.perf_counter(), drive
-    horizon = min(max(horizons, default=USUAL), LONGEST)
+    horizon = min(max(horizons, default=RULES.usual), RULES.longest)
     windows = _windows(parts.trained, horizon)
     driven = servo if kinds == {"command"} else None
 
@@ -170,7 +179,7 @@ def refine_study(
         before = None if driven is None else _servo_as_refined(driven, found)
         other = refined(fitted(wider), before, begin)
         iterations += other.refinement.iterations
-        if _gained(found, other) > WORTH * n:
+        if _gained(found, other) > RULES.worth * n:
             found, drive = replace(other, start=found.start), wider
     seconds = time.perf_counter() - began
     tried = Refined(horizon, iterations, seconds, found.undetermined, found.start)
@@ -187,7 +196,7 @@ def _calls_for(found: RefinedFit, term: DriveTerm) -> bool:
     keys, n = objective.trajectories.base.drive.keys, objective.trajectories.model.n_joints
     if "coulomb" not in keys or term.key in keys:
         return False
-    return promised_fall(objective, found.refinement, term) > NO_EFFECT * n
+    return promised_fall(objective, found.refinement, term) > RULES.no_effect * n
 
 
 def _gained(found: RefinedFit, other: RefinedFit) -> float:

@@ -30,8 +30,6 @@ from asbuilt.monitoring.velocity_error import largest_velocity_error
 
 FEWEST = 10
 """Samples of the shortest log."""
-OVERLAP = 1.0
-"""Seconds that chunks of a stream share, so that the observer has forgotten its start."""
 
 
 def logged(recorded: Recorded) -> Recording | RecordingStream:
@@ -133,7 +131,8 @@ def observed_parts(
         new = found if tail is None else found.select(found.t > end)
         yield replace(new, left_out=max(found.left_out - seen, 0))
         end = float(np.nanmax(chunk.t))
-        tail = whole.taken(whole.t > end - OVERLAP)
+        # Seconds that chunks of a stream share, so that the observer has forgotten its start.
+        tail = whole.taken(whole.t > end - 1.0)
         seen = int(np.sum(~_valid(tail, velocities=velocities)))
 
 

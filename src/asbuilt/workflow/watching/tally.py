@@ -13,9 +13,6 @@ from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.sensitivity import smallest_forces
 from asbuilt.monitoring.thresholds import sampling_rates
 
-NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
-
 
 @dataclass(slots=True)
 class Tally:
@@ -55,7 +52,8 @@ class Tally:
         if not steps.size:
             return
         self.rates.append(float(np.median(sampling_rates(observed.t))))
-        self.sizes.append(np.median(np.abs(observed.residual), axis=0) / NORMAL)
+        # Median of the absolute value of a standard normal variable.
+        self.sizes.append(np.median(np.abs(observed.residual), axis=0) / 0.6745)
         self.forces.append(
             smallest_forces(observer, observed, limit, self.tool, filtered=self.filtered)
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,17 +18,25 @@ from asbuilt.tables import plus_minus
 from asbuilt.workflow.watching.options import Watched
 from asbuilt.workflow.watching.tally import Tally
 
-FASTER = 1.2
-"""Factor by which a joint may exceed the speeds that thresholds were set on."""
-OTHER_RATE = 1.25
-"""Factor from which sampling rates differ: noise, steps of torque and the causal filter do."""
-UNLIKE = 3.0
-"""Size of the residual over most of a log and all joints, per RMS error that the identification
-found, from which the model is not that of this robot. Between motions of one robot 1.06 to
-1.56 was seen (LWR4+, Med 7, UR10e), with a log of another robot 19 and 28, with 3 kg on the flange
-of a UR10e 7.8."""
-SHORT = 120.0
-"""Duration [s] below which thresholds are mostly extrapolation."""
+
+@dataclass(frozen=True, slots=True)
+class WatchRules:
+    """Hold when a log differs from what thresholds were set on."""
+
+    faster: float = 1.2
+    """Factor by which a joint may exceed the speeds that thresholds were set on."""
+    other_rate: float = 1.25
+    """Factor from which sampling rates differ: noise, steps of torque and the causal filter do."""
+    unlike: float = 3.0
+    """Size of the residual over most of a log and all joints, per RMS error that the identification
+    found, from which the model is not that of this robot. Between motions of one robot 1.06 to
+    1.56 was seen (LWR4+, Med 7, UR10e), with a log of another robot 19 and 28, with 3 kg on the
+    flange of a UR10e 7.8."""
+    short: float = 120.0
+    """Duration [s] below which thresholds are mostly extrapolation."""
+
+
+RULES = WatchRules()
 
 
 def velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
@@ -48,7 +57,7 @@ def velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> li
 def calibration_findings(thresholds: Thresholds) -> list[Finding]:
     """Return what to say of the recordings that set thresholds."""
     seconds = 3600.0 * thresholds.hours
-    if seconds >= SHORT or not thresholds.held_out:
+    if seconds >= RULES.short or not thresholds.held_out:
         return []
     return [
         Finding(
@@ -56,7 +65,7 @@ def calibration_findings(thresholds: Thresholds) -> list[Finding]:
             "warning",
             f"the thresholds follow from {seconds:.0f} s without contact; the tail of the residual"
             " is extrapolated, and the rate of false alarms is not verified",
-            Cure(f"give recordings of at least {SHORT:.0f} s"),
+            Cure(f"give recordings of at least {RULES.short:.0f} s"),
         )
     ]
 
@@ -75,7 +84,7 @@ def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
                 Cure("find out why the logger lost them", call="check_recording"),
             )
         )
-    if not 1.0 / OTHER_RATE < rate / thresholds.rate < OTHER_RATE:
+    if not 1.0 / RULES.other_rate < rate / thresholds.rate < RULES.other_rate:
         found.append(
             Finding(
                 "rate_of_thresholds",
@@ -86,7 +95,7 @@ def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
                 Cure("set the thresholds on recordings of this rate", {"calibrate": "LOG"}),
             )
         )
-    faster = np.flatnonzero(top > FASTER * thresholds.top_speed)
+    faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
     if not faster.size:
         return found
     worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
@@ -131,7 +140,7 @@ def model_findings(
     """
     ratio = log.size / np.maximum(expected, np.finfo(float).tiny)
     worst = int(np.argmax(ratio))
-    unlike = float(np.linalg.norm(log.size) / np.linalg.norm(expected)) > UNLIKE
+    unlike = float(np.linalg.norm(log.size) / np.linalg.norm(expected)) > RULES.unlike
     if log.mass is not None and (events or unlike):
         return [
             Finding(

@@ -18,9 +18,6 @@ from asbuilt.writers.figures.figure_style import (
     styled,
 )
 
-WIDE = 4.0
-"""Held-out error, relative to the best, above which the axis is logarithmic."""
-
 
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
     """Draw held-out error and the whiteness of the residual against the cutoff."""
@@ -47,7 +44,8 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
         )
         upper.set_ylabel("held-out error,\nrelative to the best")
         upper.legend(loc="best")
-        if max(trial.score for trial in sweep.trials) > WIDE:
+        # Held-out error, relative to the best, above which the axis is logarithmic.
+        if max(trial.score for trial in sweep.trials) > 4.0:
             upper.set_yscale("log")
             upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             upper.yaxis.set_major_formatter(ScalarFormatter())

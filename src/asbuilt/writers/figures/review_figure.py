@@ -25,8 +25,6 @@ SHOWN = ("armature", "damping", "damping + kv", "friction loss", "kp", "forceran
 COLOURS = {"contradicted": VERMILION, "supported": BLUE, "undetermined": GREY}
 SIGMAS = 2.0
 """Half the length of an error bar in standard errors."""
-WIDEST = 4.0
-"""An error bar longer than so many times the largest number of its kind is cut."""
 
 
 def review_figure(review: Review, *, title: str = "") -> Figure:
@@ -64,7 +62,8 @@ def _draw(axis: Axes, claims: list[Claim], joints: list[str]) -> None:
     size = max(max(abs(claim.claimed), abs(claim.estimate or 0.0)) for claim in claims)
     for claim in claims:
         place = joints.index(claim.joint)
-        bar = min(SIGMAS * (claim.std_error or 0.0), WIDEST * size)
+        # An error bar longer than so many times the largest number of its kind is cut.
+        bar = min(SIGMAS * (claim.std_error or 0.0), 4.0 * size)
         axis.errorbar(
             claim.estimate or 0.0,
             place,

@@ -24,16 +24,13 @@ NARROWEST = 0.004
 MARGIN = 1.25
 
 
-NARROW = 600
-"""Bins of a narrow figure."""
-
-
 def watch_figure(watched: WatchedLog, *, title: str = "", narrow: bool = False) -> Figure:
     """Draw the residual of every joint in its thresholds, with the events marked.
 
     A narrow figure is for screens as wide as a telephone's.
     """
-    trace, n = watched.trace.thinned(NARROW) if narrow else watched.trace, len(watched.joint_names)
+    # Bins of a narrow figure.
+    trace, n = watched.trace.thinned(600) if narrow else watched.trace, len(watched.joint_names)
     unit = torque_unit(watched.units)
     start, last = float(trace.t.min()), float(trace.t.max())
     with styled():

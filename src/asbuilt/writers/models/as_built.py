@@ -19,11 +19,6 @@ from asbuilt.identification.result.as_built_parameters import as_built_parameter
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.writers.models.sample_states import sample_states
 
-CHECKED_STATES = 100
-"""Random states at which torques are compared."""
-SAME_TORQUE = 1e-9
-"""Torques [N m or N] that differ by less are the same."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AsBuilt:
@@ -170,7 +165,8 @@ def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
     drive = result.base.drive
     if not drive.needs_load:
         return 0.0
-    q, qd, qdd = sample_states(built.model, CHECKED_STATES)
+    # Random states at which torques are compared.
+    q, qd, qdd = sample_states(built.model, 100)
     rigid, shares = len(built.model.parameters), built.model.motor_shares
     together = np.zeros(result.n_standard)
     together[result.base.columns] = built.parameters.beta
@@ -181,4 +177,5 @@ def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
             load + drive_torque(drive, chi[rigid:], q, qd, qdd, load=load, shares=shares)
         )
     apart = float(np.abs(torques[1] - torques[0]).max())
-    return apart if apart > SAME_TORQUE else 0.0
+    # Torques [N m or N] that differ by less are the same.
+    return apart if apart > 1e-9 else 0.0

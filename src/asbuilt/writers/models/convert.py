@@ -22,11 +22,6 @@ from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.models.urdf import write_urdf
 
-SAME_TORQUE = 1e-10
-"""Largest torque difference of a file read back, relative to the torque, without a note."""
-CHECKED_STATES = 100
-"""Random states at which torques are compared."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conversion:
@@ -160,7 +155,8 @@ def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
     except ImportError:
         return np.full(model.n_joints, np.nan), ("not read back: MuJoCo is not installed",)
     order = [read.joint_names.index(name) for name in model.joint_names]
-    states = sample_states(model, CHECKED_STATES)
+    # Random states at which torques are compared.
+    states = sample_states(model, 100)
     expected = inverse_dynamics(model, *states)
     there = [np.empty_like(part) for part in states]
     for given, part in zip(there, states, strict=True):
@@ -168,7 +164,8 @@ def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
     torque = inverse_dynamics(replace(read, gravity=model.gravity), *there)[:, order]
     apart = np.abs(torque - expected).max(axis=0)
     size = float(np.abs(expected).max(initial=0.0))
-    if apart.max(initial=0.0) <= SAME_TORQUE * max(size, 1.0):
+    # Largest torque difference of a file read back, relative to the torque, without a note.
+    if apart.max(initial=0.0) <= 1e-10 * max(size, 1.0):
         return apart, ()
     worst = int(np.argmax(apart))
     return apart, (

@@ -20,8 +20,6 @@ from asbuilt.tables import SIGNIFICANT_SIGMAS, significant
 from asbuilt.validation.comparison.significance import chi_square
 from asbuilt.validation.nearest_consistent import POOR, NearestModel
 
-UNKNOWN = 100.0
-"""Standard error of a dropped parameter, in multiples of its CAD value, that leaves it unknown."""
 CURE = Cure(
     "identify with physical consistency, identify the base tilt, change the drive terms, or export"
     " the nearest consistent model",
@@ -134,8 +132,9 @@ def _reasons(result: IdentificationResult, model: RobotModel) -> str:
     """
     prior, dropped = cad_prior(result.model, result.base.drive), np.flatnonzero(result.dropped)
     covariance = np.array(result.covariance)
+    # Standard error of a dropped parameter, in multiples of its CAD value, that leaves it unknown.
     covariance[dropped, dropped] = (
-        UNKNOWN * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]
+        100.0 * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]
     ) ** 2
     proof = find_inconsistency(result.base, prior, result.estimates, covariance)
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):

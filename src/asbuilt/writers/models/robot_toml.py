@@ -24,9 +24,6 @@ from asbuilt.description.model import (
 )
 from asbuilt.writers.files import atomic_write
 
-SAME_LENGTH = 1e-12
-"""Largest difference [m] of a length from its symbols, which are written in its place."""
-
 _TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
@@ -169,10 +166,8 @@ def _inertia_fields(inertia: LinkInertia) -> list[str]:
 def _placement_fields(placement: Array, symbols: Symbols | None, model: RobotModel) -> list[str]:
     p, R = placement[:3, 3], placement[:3, :3]
     fields = []
-    if (
-        symbols is not None
-        and np.max(np.abs(length_values(symbols, model.lengths) - p)) <= SAME_LENGTH
-    ):
+    # Largest difference [m] of a length from its symbols, which are written in its place.
+    if symbols is not None and np.max(np.abs(length_values(symbols, model.lengths) - p)) <= 1e-12:
         fields.append(
             "xyz ="
             f" [{', '.join(_text(_length_sum(terms)) if terms else '0.0' for terms in symbols)}]"

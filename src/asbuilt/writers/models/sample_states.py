@@ -7,11 +7,6 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 
-FASTEST = 3.0
-"""Largest speed [rad/s or m/s]."""
-SHARPEST = 10.0
-"""Largest acceleration [rad/s^2 or m/s^2]."""
-
 
 def sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
     """Return `count` random q, qd, qdd within the limits, each (count, n); the same every time."""
@@ -23,10 +18,12 @@ def sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
     upper = np.array(
         [min(joint.limits.upper, r) for joint, r in zip(model.joints, reach, strict=True)]
     )
-    speed = np.array([min(joint.limits.velocity, FASTEST) for joint in model.joints])
+    # Largest speed [rad/s or m/s].
+    speed = np.array([min(joint.limits.velocity, 3.0) for joint in model.joints])
     q = lower + (np.maximum(upper, lower) - lower) * rng.uniform(size=(count, n))
+    # Largest acceleration [rad/s^2 or m/s^2].
     return (
         q,
         speed * rng.uniform(-1.0, 1.0, (count, n)),
-        SHARPEST * rng.uniform(-1.0, 1.0, (count, n)),
+        10.0 * rng.uniform(-1.0, 1.0, (count, n)),
     )

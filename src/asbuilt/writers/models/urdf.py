@@ -21,8 +21,6 @@ from asbuilt.writers.models.urdf_edit import edited_urdf, urdf_notes
 
 UNLIMITED = 1e9
 """Value of a required limit that is unknown [rad, m, rad/s, m/s, N m or N]."""
-ON_AXIS = 1e-12
-"""Largest distance [m] of a link origin on the joint axis."""
 
 
 def urdf_text(model: RobotModel) -> str:
@@ -100,7 +98,8 @@ def write_urdf(
 
 def _shift(joint: Joint) -> Array:
     """Return the pose of the model's link frame in that of the URDF."""
-    if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= ON_AXIS:
+    # 1e-12: largest distance [m] of a link origin on the joint axis.
+    if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= 1e-12:
         return np.eye(4)
     return np.array(joint.after)
 

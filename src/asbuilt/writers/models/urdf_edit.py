@@ -20,11 +20,6 @@ from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, 
 from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, attribute_edits
 
-SAME_PLACE = 1e-9
-"""Largest difference of placements [m, 1] in two descriptions of one robot."""
-NOTABLE = 1e-9
-"""Torque difference [N m or N] from which a note is written."""
-
 _TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
@@ -199,7 +194,8 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
             float(np.abs(there.before - here.before).max()),
             float(np.abs(there.after - here.after).max()),
         )
-        if off > SAME_PLACE:
+        # Largest difference of placements [m, 1] in two descriptions of one robot.
+        if off > 1e-9:
             refuse(f"the placement of joint {here.name!r} differs by {off:.3g}")
 
 
@@ -270,7 +266,8 @@ def _difference(model: RobotModel, read: RobotModel) -> Array:
 
 
 def _rounding_note(model: RobotModel, literal: Array) -> tuple[str, ...]:
-    if literal.max() <= NOTABLE:
+    # Torque difference [N m or N] from which a note is written.
+    if literal.max() <= 1e-9:
         return ()
     worst = int(np.argmax(literal))
     return (

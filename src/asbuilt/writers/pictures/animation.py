@@ -23,12 +23,6 @@ from asbuilt.writers.pictures.skeleton import skeleton_frames
 Style = Literal["auto", "rendered", "skeleton"]
 
 STILLS, ANIMATIONS = (".png",), (".gif", ".webp")
-FRAME_RATE = 12.5
-"""Frames of an animation per second [Hz]."""
-MOST_FRAMES = 125
-"""Longer motions are shown with fewer frames per second."""
-LONGEST_PAUSE = 655_350
-"""Milliseconds between frames; GIF has 16 bits for hundredths of a second."""
 
 
 def write_picture(
@@ -64,7 +58,9 @@ def write_picture(
             f"{Path(path).name} would be an animation, but there is no motion; give one, or write a"
             " .png"
         )
-    view = MotionView.of_motion(model, motion, most=MOST_FRAMES if moving else 2, rate=FRAME_RATE)
+    # Frames of an animation per second [Hz].
+    # 125: longer motions are shown with fewer frames per second.
+    view = MotionView.of_motion(model, motion, most=125 if moving else 2, rate=12.5)
     images = []
     for k, image in enumerate(picture_frames(view if moving else view.first(), *size, style=style)):
         images.append(image)
@@ -74,7 +70,8 @@ def write_picture(
     if not moving:
         Pillow.fromarray(images[0]).save(stream, "PNG")
         return atomic_write(path, stream.getvalue())
-    pause = min(round(1000 * float(view.t[-1]) / (len(view.t) - 1)), LONGEST_PAUSE)
+    # 655_350: milliseconds between frames; GIF has 16 bits for hundredths of a second.
+    pause = min(round(1000 * float(view.t[-1]) / (len(view.t) - 1)), 655_350)
     if suffix == ".gif":
         palette = Pillow.fromarray(np.concatenate(images[:: max(1, len(images) // 8)])).quantize(
             255, dither=Pillow.Dither.NONE

@@ -165,22 +165,10 @@ def _floor(world: Element, view: MotionView) -> None:
         contype="0",
         conaffinity="0",
     )
-    thickest = max(solid.radius for solid in view.solids)
     stand = {"type": "cylinder", "rgba": "0.45 0.47 0.50 1", "contype": "0", "conaffinity": "0"}
-    plate = (
-        _triple((view.floor) * view.up) + " " + _triple((view.floor + 0.25 * thickest) * view.up)
-    )
-    SubElement(world, "geom", {**stand, "fromto": plate, "size": repr(2.0 * thickest)})
-    if view.floor < 0.0:
-        SubElement(
-            world,
-            "geom",
-            {
-                **stand,
-                "fromto": _triple(view.floor * view.up) + " 0 0 0",
-                "size": repr(1.15 * thickest),
-            },
-        )
+    for solid in view.stand:
+        place = f"{_triple(solid.start)} {_triple(solid.stop)}"
+        SubElement(world, "geom", {**stand, "fromto": place, "size": repr(solid.radius)})
 
 
 def _draw_path(mujoco: ModuleType, scene: Any, path: Array, radius: float) -> None:

@@ -15,9 +15,6 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 
-PATH_POINTS = 1000
-"""Most points of the drawn path of the tip."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionView:
@@ -93,10 +90,18 @@ class MotionView:
             return cls.of(model, [0.0], resting_pose(model)[None])
         frames = int(np.clip(np.ceil(motion.duration * rate), 2, most))
         t = np.linspace(0.0, motion.duration, frames)
-        fine = np.linspace(
-            0.0, motion.duration, int(np.clip(40 * motion.duration, 200, PATH_POINTS))
-        )
+        # 1000: most points of the drawn path of the tip.
+        fine = np.linspace(0.0, motion.duration, int(np.clip(40 * motion.duration, 200, 1000)))
         return cls.of(model, t, motion.derivative(t, 0), path=motion.derivative(fine, 0))
+
+    @property
+    def stand(self) -> tuple[Solid, ...]:
+        """Base plate on the floor, and column up to the robot if there is one."""
+        thickest = max(solid.radius for solid in self.solids)
+        foot = self.floor * self.up
+        plate = Solid(ROOT, "housing", foot, foot + 0.25 * thickest * self.up, 2 * thickest)
+        column = Solid(ROOT, "housing", foot, np.zeros(3), 1.15 * thickest)
+        return (plate, column) if self.floor < 0.0 else (plate,)
 
     def first(self) -> MotionView:
         """Return the same view with its first frame alone."""

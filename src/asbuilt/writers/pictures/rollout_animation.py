@@ -23,12 +23,6 @@ from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
 from asbuilt.writers.tables.rollout_tables import error_text, position_unit
 
-FRAME_RATE = 12.5
-"""Frames per second [Hz]."""
-LONGEST = 6.0
-"""Longest part of a recording that is shown [s]."""
-VISIBLE = 0.12
-"""Error of the worse simulation as it is drawn [rad or m], root mean square over joints."""
 FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 """Factors by which errors are enlarged."""
 COLOURS = {"CAD": (217, 115, 26), "as built": (33, 102, 172)}
@@ -118,8 +112,10 @@ def _shown(motion: SimulatedMotion) -> _Shown:
     given = {name: path for name, path in paths.items() if path is not None}
     if not given:
         raise UsageError(f"no robot of {cut.source} could be simulated, so there is no animation")
-    count = max(1, min(cut.n_windows, int(LONGEST / cut.horizon)))
-    every = max(1, round(cut.rate / FRAME_RATE))
+    # Longest part of a recording that is shown [s].
+    count = max(1, min(cut.n_windows, int(6.0 / cut.horizon)))
+    # Frames per second [Hz].
+    every = max(1, round(cut.rate / 12.5))
     t = (cut.starts[:count, None] + cut.times).ravel()[::every]
     measured = cut.q[:count].reshape(len(cut.q[:count]) * cut.n_samples, -1)[::every]
     errors = {
@@ -127,7 +123,8 @@ def _shown(motion: SimulatedMotion) -> _Shown:
         for name, path in given.items()
     }
     worst = max(float(np.sqrt(np.nanmean(error**2))) for error in errors.values())
-    fitting = [each for each in FACTORS if each * worst <= VISIBLE]
+    # Error of the worse simulation as it is drawn [rad or m], root mean square over joints.
+    fitting = [each for each in FACTORS if each * worst <= 0.12]
     return _Shown(_without_gaps(t), measured, errors, fitting[-1] if fitting else 1.0)
 
 

@@ -28,15 +28,23 @@ ROD, HOUSING, STAND, SHADOW, GRID, PATH = (
     )
 )
 AZIMUTH, ELEVATION = np.deg2rad(-45.0), np.deg2rad(18.0)
-OVERSAMPLING = 2
-MARGIN = 0.06
-"""Share of the picture that stays free at each side."""
 
-DISTANCE = 5.0
-"""Distance of the camera in radii of the scene."""
 
-HOUSING_FIRST = 0.4
-"""Depth, in its radius, by which a housing counts as nearer than the rods that it encloses."""
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """Hold how a skeleton is drawn."""
+
+    oversampling: int = 2
+    """Pixels drawn for each one that is shown, for smooth edges."""
+    margin: float = 0.06
+    """Share of the picture that stays free at each side."""
+    distance: float = 5.0
+    """Distance of the camera in radii of the scene."""
+    housing_first: float = 0.4
+    """Depth, in its radius, by which a housing counts as nearer than the rods that it encloses."""
+
+
+DRAWING = Drawing()
 
 AMBIENT, DIFFUSE = 0.55, 0.5
 """Light from everywhere, and from the lamp above the left shoulder of the camera."""
@@ -61,13 +69,13 @@ class Camera:
         forward = -(np.cos(ELEVATION) * level + np.sin(ELEVATION) * view.up)
         right = np.cross(forward, view.up) / np.cos(ELEVATION)
         axes = np.stack([right, np.cross(right, forward), forward])
-        camera = cls(axes, view.centre - DISTANCE * view.radius * forward, 1.0, np.zeros(2))
+        camera = cls(axes, view.centre - DRAWING.distance * view.radius * forward, 1.0, np.zeros(2))
         points, radii = _balls(view)
         flat, depth = camera.project(points)
         grown = (radii / depth)[:, None] * 1.05
         low, high = (flat - grown).min(axis=0), (flat + grown).max(axis=0)
         size = np.array([width, height])
-        scale = float(np.min((1 - 2 * MARGIN) * size / (high - low)))
+        scale = float(np.min((1 - 2 * DRAWING.margin) * size / (high - low)))
         return cls(axes, camera.eye, scale, size / 2 - scale * (low + high) / 2)
 
     def project(self, points: Array) -> tuple[Array, Array]:
@@ -78,10 +86,10 @@ class Camera:
 
 def skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image]:
     """Yield every frame of a motion as an image (height, width, 3)."""
-    camera = Camera.around(view, OVERSAMPLING * width, OVERSAMPLING * height)
+    camera = Camera.around(view, DRAWING.oversampling * width, DRAWING.oversampling * height)
     coarse = len(view.t) > 1
     slices, rings, segments = (16, 4, 4) if coarse else (36, 8, 10)
-    solids = [*view.solids, *_stand(view)]
+    solids = [*view.solids, *view.stand]
     meshes = [round_mesh(solid, slices, rings, segments) for solid in solids]
     colours = [
         STAND if k >= len(view.solids) else ROD if solid.kind == "rod" else HOUSING
@@ -89,13 +97,17 @@ def skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image
     ]
     counts = [len(faces) for _, faces in meshes]
     shades = np.repeat(np.array(colours), counts, axis=0)
-    nearer = np.repeat([HOUSING_FIRST * s.radius * (s.kind == "housing") for s in solids], counts)
+    nearer = np.repeat(
+        [DRAWING.housing_first * s.radius * (s.kind == "housing") for s in solids], counts
+    )
     for k in range(len(view.t)):
         vertices = [
             _placed(view, k, solid, points)
             for solid, (points, _) in zip(solids, meshes, strict=True)
         ]
-        canvas = Pillow.new("RGB", (OVERSAMPLING * width, OVERSAMPLING * height), "white")
+        canvas = Pillow.new(
+            "RGB", (DRAWING.oversampling * width, DRAWING.oversampling * height), "white"
+        )
         draw = ImageDraw.Draw(canvas)
         _floor(draw, camera, view)
         corners = np.concatenate([v[f] for v, (_, f) in zip(vertices, meshes, strict=True)])
@@ -132,7 +144,7 @@ def _bodies(
     triangles = [tuple(map(tuple, triangle)) for triangle in flat.reshape(-1, 3, 2).tolist()]
     fills = [tuple(colour) for colour in colours.astype(int).tolist()]
     lines = [tuple(map(tuple, path[k : k + 2].tolist())) for k in range(steps)]
-    thick = max(2, round(camera.scale / DISTANCE * 0.011))
+    thick = max(2, round(camera.scale / DRAWING.distance * 0.011))
     for place in order.tolist():
         if place < len(triangles):
             draw.polygon(triangles[place], fill=fills[place], outline=fills[place])
@@ -162,16 +174,6 @@ def _floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
             draw.line(tuple(map(tuple, flat.tolist())), fill=tuple(GRID.tolist()), width=2)
 
 
-def _stand(view: MotionView) -> list[Solid]:
-    """Return base plate and column, as the other pictures have them."""
-    thickest = max(solid.radius for solid in view.solids)
-    foot = view.floor * view.up
-    plate = Solid(ROOT, "housing", foot, foot + 0.25 * thickest * view.up, 2 * thickest)
-    if view.floor >= 0.0:
-        return [plate]
-    return [plate, Solid(ROOT, "housing", foot, np.zeros(3), 1.15 * thickest)]
-
-
 def _placed(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
     if solid.link == ROOT:
         return points
@@ -182,7 +184,7 @@ def _placed(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
 def _balls(view: MotionView) -> tuple[Array, NDArray[np.float64]]:
     """Return centres (N, 3) and radii (N,) of balls that hold everything drawn but the floor."""
     points, radii = [view.path], [np.zeros(len(view.path))]
-    for solid in (*view.solids, *_stand(view)):
+    for solid in (*view.solids, *view.stand):
         for end in (solid.start, solid.stop):
             moved = (
                 end[None]

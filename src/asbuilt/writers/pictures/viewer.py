@@ -36,16 +36,25 @@ ROD, HOUSING, STAND, PATH, COM, INERTIA = (
     (20, 20, 24),
     (0, 158, 115),
 )
-BODY_OPACITY = 0.35
-"""Opacity of the bodies while something inside them is shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Viewing:
+    """Hold what the page of the viewer shows and keeps."""
+
+    body_opacity: float = 0.35
+    """Opacity of the bodies while something inside them is shown."""
+    frame_rate: float = 30.0
+    """Poses sent per second [Hz]."""
+    saved_frames: int = 600
+    """Most poses in a saved page."""
+    last_port_offset: int = 20
+    """How many ports after the wanted one are tried."""
+
+
+VIEWING = Viewing()
 DISTANCE, BESIDE_PANEL = 2.7, 0.3
 """Distance of the camera and its sideways offset beside the panel, in radii of the scene."""
-FRAME_RATE = 30.0
-"""Poses sent per second [Hz]."""
-SAVED_FRAMES = 600
-"""Most poses in a saved page."""
-LAST_PORT_OFFSET = 20
-"""How many ports after the wanted one are tried."""
 
 
 class Viewer:
@@ -74,7 +83,9 @@ class Viewer:
         viser = _viser()
         self.model = model
         self.motion = motion
-        self.view = MotionView.of_motion(model, motion, most=SAVED_FRAMES, rate=FRAME_RATE)
+        self.view = MotionView.of_motion(
+            model, motion, most=VIEWING.saved_frames, rate=VIEWING.frame_rate
+        )
         self.port = _free_port(host, port)
         with contextlib.redirect_stdout(io.StringIO()), _own_origin_only(host, self.port):
             self.server: Any = viser.ViserServer(
@@ -101,7 +112,7 @@ class Viewer:
 
     def page(self) -> str:
         """Return one self-contained HTML page that shows the robot and plays the motion."""
-        self._show(dict.fromkeys(self._layers, True), opacity=BODY_OPACITY)
+        self._show(dict.fromkeys(self._layers, True), opacity=VIEWING.body_opacity)
         recorder = self.server.get_scene_serializer()
         pause = float(self.view.t[-1]) / max(1, len(self.view.t) - 1)
         for q in self.view.q if len(self.view.t) > 1 else ():
@@ -117,7 +128,7 @@ class Viewer:
             now = time.perf_counter()
             controls.advance(now - last)
             last = now
-            time.sleep(1.0 / FRAME_RATE)
+            time.sleep(1.0 / VIEWING.frame_rate)
 
     def close(self) -> None:
         """Stop the server."""
@@ -129,7 +140,6 @@ class Viewer:
         scene.set_up_direction(tuple(view.up))
         scene.configure_default_lights(cast_shadow=True)
         seat = rotation_onto(view.up)
-        thickest = max(solid.radius for solid in view.solids)
         scene.add_grid(
             "/floor",
             width=8 * view.radius,
@@ -144,23 +154,8 @@ class Viewer:
             wxyz=_wxyz(seat),
             position=tuple((view.floor - 2e-3) * view.up),
         )
-        self._mesh(
-            "/stand",
-            Solid(
-                ROOT,
-                "housing",
-                view.floor * view.up,
-                (view.floor + 0.25 * thickest) * view.up,
-                2 * thickest,
-            ),
-            STAND,
-        )
-        if view.floor < 0.0:
-            self._mesh(
-                "/column",
-                Solid(ROOT, "housing", view.floor * view.up, np.zeros(3), 1.15 * thickest),
-                STAND,
-            )
+        for place, solid in zip(("/stand", "/column"), view.stand, strict=False):
+            self._mesh(place, solid, STAND)
         for k, link in enumerate(model.links):
             name = f"/links/{k + 1} {link.name.replace('/', '-')}"
             self._links.append(scene.add_frame(name, show_axes=False))
@@ -315,7 +310,7 @@ class _Controls:
             visible.get(layer, False)
             for layer in ("frames", "centres of mass", "inertia ellipsoids")
         )
-        self.viewer._show(visible, opacity=BODY_OPACITY if inside else None)
+        self.viewer._show(visible, opacity=VIEWING.body_opacity if inside else None)
 
     def advance(self, seconds: float) -> None:
         """Move on by so much time, or go where the slider was put."""
@@ -366,7 +361,7 @@ def _free_port(host: str, port: int) -> int:
     """Return the first free port from `port` on."""
     if not 0 < port < 65536:
         raise UsageError(f"a port is a number from 1 to 65535, got {port}")
-    for candidate in range(port, min(port + LAST_PORT_OFFSET, 65536)):
+    for candidate in range(port, min(port + VIEWING.last_port_offset, 65536)):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
@@ -375,6 +370,6 @@ def _free_port(host: str, port: int) -> int:
                 continue
             return candidate
     raise UsageError(
-        f"the ports {port} to {port + LAST_PORT_OFFSET - 1} of {host} are all taken",
-        cure=Cure("use another port", {"port": port + LAST_PORT_OFFSET}),
+        f"the ports {port} to {port + VIEWING.last_port_offset - 1} of {host} are all taken",
+        cure=Cure("use another port", {"port": port + VIEWING.last_port_offset}),
     )

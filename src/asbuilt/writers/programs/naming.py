@@ -5,9 +5,6 @@ from __future__ import annotations
 import re
 import unicodedata
 
-MOST_CHARACTERS = 60
-"""Longest name made here."""
-
 
 def plain_text(text: str) -> str:
     r"""Return printable ASCII on one line that is safe in comments and strings of any language.
@@ -55,10 +52,8 @@ def file_stem(name: str, *, default: str = "motion") -> str:
     >>> file_stem("../my robot: run 1"), file_stem("///")
     ('my_robot_run_1', 'motion')
     """
-    return (
-        re.sub(r"[^A-Za-z0-9-]+", "_", plain_text(name)).strip("_-")[:MOST_CHARACTERS].strip("_-")
-        or default
-    )
+    # 60: longest name made here.
+    return re.sub(r"[^A-Za-z0-9-]+", "_", plain_text(name)).strip("_-")[:60].strip("_-") or default
 
 
 def identifier(name: str, *, prefix: str) -> str:

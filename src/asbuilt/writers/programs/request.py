@@ -18,9 +18,6 @@ from asbuilt.writers.programs.naming import file_stem
 DRY_RUN_SLOWDOWN = 10.0
 """Factor of the dry run's duration: 10 % of the speed, 1 % of the acceleration."""
 
-DRY_RUN_CHECK_RATE = 100.0
-"""Rate at which the slow dry run is compared with the limits [Hz]."""
-
 REST = 1e-3
 """Speed relative to the top speed below which a motion is at rest at its ends."""
 
@@ -69,7 +66,8 @@ class ProgramRequest:
             )
         self.report.raise_if_violated()
         try:
-            check_motion(self.model, self.dry_run, DRY_RUN_CHECK_RATE).raise_if_violated()
+            # Rate at which the slow dry run is compared with the limits [Hz].
+            check_motion(self.model, self.dry_run, 100.0).raise_if_violated()
         except MotionError as error:
             raise MotionError(
                 f"the dry run at {100 / DRY_RUN_SLOWDOWN:g} % speed violates a limit: {error}"

@@ -22,9 +22,6 @@ KNOT_STEPS = (0.2, 0.004)
 SPLINE_STEPS = (0.5, 0.02)
 """Longest and shortest time between the points of a spline [s]."""
 
-STRAIGHT = 1e-3
-"""Largest deviation of a straight segment from the line in joint space [rad or m]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Segment:
@@ -80,7 +77,8 @@ def point_to_point_segments(motion: Motion) -> tuple[Segment, ...] | None:
         a, b = q[begin], q[end]
         line = b - a
         along = np.clip((q[begin : end + 1] - a) @ line / max(line @ line, 1e-300), 0.0, 1.0)
-        if np.max(np.abs(q[begin : end + 1] - a - along[:, None] * line)) > STRAIGHT:
+        # Largest deviation of a straight segment from the line in joint space [rad or m].
+        if np.max(np.abs(q[begin : end + 1] - a - along[:, None] * line)) > 1e-3:
             return None
         middle = (end + last) // 2
         segments.append(

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from asbuilt.experiment.signal.noise.bandwidth import motion_bandwidth
+from asbuilt.experiment.signal.noise.band_choice import motion_bandwidth
 from asbuilt.experiment.signal.noise.velocity_choice import compare_velocities
 
 T = np.arange(0, 40, 0.01)

@@ -18,23 +18,14 @@ from asbuilt.experiment.gravity_load import (
 )
 from asbuilt.experiment.logs.columns.roles import unit_scale
 
-NEAR_LOAD = 0.8
-"""Share of the best correlation from which groups count alike, in the order of the file: what was
-commanded correlates better than what was measured.
-"""
 DEGREES_PER_RADIAN = 180 / np.pi
 RADIANS_ARE_LESS = DEGREE**0.5
 """Ratio of velocities to the slope of positions in degrees, above which they are degrees too."""
-FOLLOWING = 0.3
-"""Difference of two groups, relative to their spread, up to which one is the command of the
-other."""
 STEPS = {"ns": 2e5, "us": 200.0, "ms": 0.2, "s": -np.inf}
 """Units of time, and the least median step in each: 0.2 s."""
 
 RATES = (5.0, 5000.0)
 """Rates of logs [Hz]: what velocities give beyond is another unit of theirs."""
-FASTEST = 10.0
-"""Velocities beyond are rather degrees per second [rad/s]."""
 CLOCK_STEPS = (0.99, 0.5)
 """Share of the steps of a clock that are forward, and of one that does not lead the columns also
 within this of the median step."""
@@ -178,10 +169,12 @@ def _position_and_command(t: Array, groups: list[Array]) -> tuple[int, int] | No
     another, or several do, such as currents too.
     """
     moving = _derivative_pair(t, groups, None)
+    # Difference of two groups, relative to their spread, up to which one is the command of the
+    # other.
     found = [
         (i, k)
         for i, k in combinations(range(len(groups)), 2)
-        if (moving is None or moving[0] in (i, k)) and _apart(groups[i], groups[k]) < FOLLOWING
+        if (moving is None or moving[0] in (i, k)) and _apart(groups[i], groups[k]) < 0.3
     ]
     if len(found) != 1:
         return None
@@ -233,7 +226,9 @@ def _roles(
     loads = (turned if degrees else plain)[position]
     rest = [k for k in range(len(groups)) if k not in (position, velocity)]
     if np.max(loads) > CLEAR_LOAD:
-        rest.sort(key=lambda k: loads[k] < NEAR_LOAD * np.max(loads))
+        # Share of the best correlation from which groups count alike, in the order of the file:
+        # what was commanded correlates better than what was measured.
+        rest.sort(key=lambda k: loads[k] < 0.8 * np.max(loads))
     return position, velocity, rest, bool(degrees)
 
 
@@ -274,7 +269,8 @@ def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
     ok = np.isfinite(steps) & np.isfinite(qd)
     per_step = float(np.sum(qd[ok] ** 2)) / max(float(np.sum(steps[ok] * qd[ok])), 1e-30)
     rates = [per_step] if degrees else [per_step, per_step / DEGREES_PER_RADIAN]
-    if _largest(qd) > FASTEST:
+    # Velocities beyond are rather degrees per second [rad/s].
+    if _largest(qd) > 10.0:
         rates.reverse()
     low, high = RATES
     return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)

@@ -25,11 +25,6 @@ from asbuilt.untrusted import check_regular, reason
 
 LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
-SMALL = 20e6
-"""Bytes below which a file is read whole, whatever it declares; its reader limits the memory."""
-
-AHEAD = 32e6
-"""Memory [bytes] that is read at once: each reading unpacks the pages before its first row too."""
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
@@ -82,7 +77,9 @@ def _frames(
     missing = [name for name in columns if name not in header.columns]
     if missing:
         raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
-    chunks = max(1, int(AHEAD / (8 * max(len(columns), 1) * chunk_samples)))
+    # 32e6: memory [bytes] that is read at once: each reading unpacks the pages before its first row
+    # too.
+    chunks = max(1, int(32e6 / (8 * max(len(columns), 1) * chunk_samples)))
     for begin in range(0, rows, chunks * chunk_samples):
         try:
             frame = (
@@ -140,7 +137,8 @@ def _declared_by(path: Path, size: int, changed: int) -> tuple[int, LogTable]:
 
 def _n_bytes(path: Path) -> float:
     """Return the memory of a whole file; a small file need not be opened for it."""
-    if path.stat().st_size < SMALL:
+    # Bytes below which a file is read whole, whatever it declares; its reader limits the memory.
+    if path.stat().st_size < 20e6:
         return float(path.stat().st_size)
     rows, header = _declared(path)
     return float(rows * len(header.columns) * 8)

@@ -18,13 +18,6 @@ from asbuilt.experiment.quality.running_statistics import Extremes
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined
 
-MOST_POSES = 200
-"""Poses of a recording at which gravity is looked at."""
-SMALL = 1e-6
-"""Weight, as a share of the largest, that is none but rounding."""
-FEWEST_JOINTS = 2
-"""Joints from which it is no accident that none has a torque of the other sign."""
-
 
 def unsigned_findings(
     model: RobotModel, measured: Extremes, beginning: Recording
@@ -80,16 +73,19 @@ def law_text(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
 def is_unsigned(low: Array, high: Array) -> bool:
     """Return whether the extremes (n,) of the joints are those of magnitudes."""
     used = np.asarray(high) > 0.0
-    return bool(np.count_nonzero(used) >= FEWEST_JOINTS and np.all(np.asarray(low) >= 0.0))
+    # Joints from which it is no accident that none has a torque of the other sign.
+    return bool(np.count_nonzero(used) >= 2 and np.all(np.asarray(low) >= 0.0))
 
 
 def _held_up(model: RobotModel, recording: Recording) -> Mask:
     """Return which joints (n,) bear a weight of one sign, positive, at all positions met."""
     q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
-    q = q[:: max(1, len(q) // MOST_POSES)]
+    # Poses of a recording at which gravity is looked at.
+    q = q[:: max(1, len(q) // 200)]
     weight = inverse_dynamics(model, q, np.zeros(q.shape), np.zeros(q.shape), threads=1)
     low, high = weight.min(axis=0, initial=np.inf), weight.max(axis=0, initial=0.0)
-    return np.asarray((low > 0.0) & (low > SMALL * high))
+    # Weight, as a share of the largest, that is none but rounding.
+    return np.asarray((low > 0.0) & (low > 1e-6 * high))
 
 
 def _reverses(recording: Recording) -> bool:

@@ -13,13 +13,6 @@ from asbuilt.experiment.quality.second_pass import SecondPass
 from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.findings import Cure, Finding
 
-_QUIET_FLOOR = 1e-9
-"""Power at high frequency, relative to the peak, that no torque sensor falls below."""
-_PLATEAU_SAMPLES = 5
-"""Consecutive samples at an extreme from which a torque may be saturated."""
-_SHORTEST = 256
-"""Number of samples that a spectrum needs."""
-
 
 def missing_channel_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     """Name joints without a usable torque channel, unless there is none at all."""
@@ -58,11 +51,8 @@ def saturation_findings(
             flat = plateau.places.size
             longest, start = _longest_consecutive(plateau.places)
             usual = (plateau.n_near - flat) / max(1, plateau.near.size - 1)
-            if (
-                plateau.extreme != 0.0
-                and longest >= _PLATEAU_SAMPLES
-                and flat > 8 * max(usual, 1.0)
-            ):
+            # 5: consecutive samples at an extreme from which a torque may be saturated.
+            if plateau.extreme != 0.0 and longest >= 5 and flat > 8 * max(usual, 1.0):
                 yield Finding(
                     "saturation",
                     "warning",
@@ -117,7 +107,8 @@ def spike_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
 
 def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     """Find torques (N, n) without the noise floor of a sensor, by the mean of their spectra."""
-    long_enough = [tau for tau in torques if len(tau) >= _SHORTEST]
+    # Number of samples that a spectrum needs.
+    long_enough = [tau for tau in torques if len(tau) >= 256]
     if not long_enough or not np.isfinite(rate):
         return
     length = min(1024, *(len(tau) for tau in long_enough))
@@ -128,7 +119,8 @@ def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
         return
     relative = power[:, peak > 0] / peak[peak > 0]
     floor = float(np.median(np.median(relative[frequency > 0.35 * rate], axis=0)))
-    if floor > _QUIET_FLOOR:
+    # Power at high frequency, relative to the peak, that no torque sensor falls below.
+    if floor > 1e-9:
         return
     middle = np.median(relative, axis=1)
     last = int(np.flatnonzero(middle > max(100 * floor, 1e-9))[-1])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,10 +17,43 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
-from asbuilt.experiment.quality.torque.column_order import decisive_change, swaps
 
-DECISIVE = 0.02
-"""Predicted torque, relative to the largest, below which a joint decides nothing."""
+T = TypeVar("T")
+
+
+def decisive_change(
+    logged: T, changes: Iterable[T], cost: Callable[[T], float], fall: float
+) -> T | None:
+    """Return the cheapest of `changes` if it costs less than `logged` by more than `fall`.
+
+    Parameters
+    ----------
+    logged
+        Order of columns as logged.
+    changes
+        Other orders, such as those of `swaps`.
+    cost
+        Misfit of an order.
+    fall
+        Difference of the costs from which the change is decisive.
+    """
+    costs = [(cost(change), change) for change in changes]
+    best = min(costs, key=lambda pair: pair[0], default=None)
+    return best[1] if best is not None and best[0] < cost(logged) - fall else None
+
+
+def swaps(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+    """Yield the orders with two entries swapped.
+
+    >>> list(swaps((0, 1, 2)))
+    [(1, 0, 2), (2, 1, 0), (0, 2, 1)]
+    """
+    for i, j in combinations(range(len(order)), 2):
+        changed = list(order)
+        changed[i], changed[j] = order[j], order[i]
+        yield tuple(changed)
+
+
 BREAKAWAY = 0.02
 """Width of the smoothed sign of velocity [rad/s or m/s]."""
 
@@ -102,7 +137,8 @@ class TorqueFit:
     def decides(self) -> Mask:
         """Which joints have enough predicted torque to decide anything, shape (n,)."""
         predicted = self.predicted
-        enough: Mask = predicted > DECISIVE * np.max(predicted)
+        # Predicted torque, relative to the largest, below which a joint decides nothing.
+        enough: Mask = predicted > 0.02 * np.max(predicted)
         return enough
 
     @property

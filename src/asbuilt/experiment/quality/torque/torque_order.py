@@ -10,8 +10,12 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.quality.torque.column_order import decisive_change, swaps
-from asbuilt.experiment.quality.torque.torque_fit import BREAKAWAY, TorqueFit
+from asbuilt.experiment.quality.torque.torque_fit import (
+    BREAKAWAY,
+    TorqueFit,
+    decisive_change,
+    swaps,
+)
 
 
 @dataclass(frozen=True, slots=True)

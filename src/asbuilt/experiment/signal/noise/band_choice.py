@@ -6,10 +6,74 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
-from asbuilt.experiment.signal.noise.bandwidth import motion_bandwidth
+from asbuilt.arrays import Array
 from asbuilt.experiment.signal.noise.noise_limit import NoiseLimit, noise_limit
+from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.resampling import UniformSegment
+
+
+@dataclass(frozen=True, slots=True)
+class SpectrumRules:
+    """Hold how the bandwidth of a motion is read off its spectrum."""
+
+    velocity_share: float = 0.95
+    """Share of the velocity's power that lies below the motion's bandwidth."""
+    window: float = 20.0
+    """Length of the averaged spectra's windows [s]; their resolution is its inverse."""
+    noisy: float = 0.01
+    """Share of the velocity's power from which white noise of the positions is allowed for."""
+    above_noise: float = 4.0
+    """Multiple of the noise's spectrum that the smoothed spectrum of the motion exceeds."""
+    smoothed: int = 11
+    """Number of bins over which spectra are smoothed."""
+
+
+RULES = SpectrumRules()
+
+
+def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
+    """Return the frequency [Hz] below which 95 % of the fastest joint's velocity power lies.
+
+    `segments` are position arrays (L, n) at one uniform `rate` [Hz]. The velocity's spectrum is (2
+    pi f)^2 times the position's (Welch, IEEE Trans. Audio and Electroacoustics, 1967). Joints
+    slower than a hundredth of the fastest do not count. White noise of the positions is estimated
+    from the upper half of the spectrum; bins beyond the motion that it dominates do not count.
+    """
+    window = min(round(RULES.window * rate), max(q.shape[0] for q in segments) - 1)
+    total = np.zeros((window // 2 + 1, segments[0].shape[1]))
+    frequency = np.fft.rfftfreq(window, 1.0 / rate)
+    for q in segments:
+        if q.shape[0] <= window:
+            continue
+        velocity = np.diff(q, axis=0) * rate
+        total += power_density(velocity, rate, window, centred=False) * (q.shape[0] - 1)
+    total[_noise_bins(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
+    power = total.sum(axis=0)
+    moving = power > 1e-4 * power.max()
+    if not moving.any():
+        return 1.0 / RULES.window
+    share = np.cumsum(total[:, moving], axis=0) / power[moving]
+    reached = (share >= RULES.velocity_share).argmax(axis=0)
+    return float(max(frequency[reached.max()], 1.0 / RULES.window))
+
+
+def _noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
+    """Return which bins (F, n) of velocity spectra are noise; `cycles` (F,) are per sample."""
+    shape = np.sin(np.pi * cycles)[:, None] ** 2
+    upper = cycles >= 0.25
+    noise = shape * (
+        total[upper].sum(axis=0) / max(float(shape[upper].sum()), np.finfo(np.float64).tiny)
+    )
+    noisy = noise.sum(axis=0) > RULES.noisy * total.sum(axis=0)
+    smooth = uniform_filter1d(total, RULES.smoothed, axis=0, mode="nearest")
+    last = np.where(smooth > RULES.above_noise * noise, np.arange(len(cycles))[:, None], 0).max(
+        axis=0
+    )
+    return np.asarray(noisy & (np.arange(len(cycles))[:, None] > last))
+
 
 POSITION_BANDWIDTHS = 10.0
 """Default position cutoff, in bandwidths of the motion."""
@@ -19,8 +83,6 @@ LOWEST_CUTOFF = 7.0
 Friction changes sign within a tenth of a second. Tuned on recordings of UR10e, LWR4+, Med 7,
 AIRBOT, Rokae and TX40; none was kept apart to test it.
 """
-HIGHEST_CUTOFF = 0.2
-"""Highest default cutoff, as a share of the sampling rate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +131,8 @@ def choose_band(
         for segment in segments
     ]
     bandwidth = motion_bandwidth(moved, rate)
-    wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), HIGHEST_CUTOFF * rate)
+    # Highest default cutoff, as a share of the sampling rate.
+    wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), 0.2 * rate)
     logged = [(segment.qd if of_velocity else segment.q, segment.tau) for segment in segments]
     noise = noise_limit(
         [(x, tau) for x, tau in logged if x is not None], rate, of_velocity=of_velocity

@@ -19,29 +19,38 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.experiment.signal.noise.spectrum import power_density
 
-LOWEST = 3.0
-"""Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a second."""
-WINDOW = 10.0
-"""Length of the averaged spectra's windows [s]."""
+
+@dataclass(frozen=True, slots=True)
+class NoiseRules:
+    """Hold how the cutoff that noise allows is found."""
+
+    lowest: float = 3.0
+    """Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a
+    second."""
+    window: float = 10.0
+    """Length of the averaged spectra's windows [s]."""
+    quantile: float = 0.25
+    """Quantile over these frequencies of torque over acceleration that counts as inertia.
+
+    Gravity, friction and other joints add torque at some of them.
+    """
+    torque_floor: float = 0.3
+    """Share of the sampling rate from which the torque is noise."""
+    model_error: float = 0.02
+    """Smallest error of a model, as a share of the torque's standard deviation."""
+    as_good: float = 1.02
+    """Predicted error, in multiples of the smallest, that counts as equally good."""
+    bands: int = 12
+    """Bands from 1 Hz to half the sampling rate, equally wide in log frequency; noise is their
+    median."""
+
+
+RULES = NoiseRules()
 MOVING, FAST = 0.02, 1e-3
 """Shares of a joint's largest acceleration and velocity spectrum from which a frequency is one of
 its motion,"""
 ABOVE_NOISE = 100.0
 """and multiple of the position's noise that its spectrum exceeds there."""
-QUANTILE = 0.25
-"""Quantile over these frequencies of torque over acceleration that counts as inertia.
-
-Gravity, friction and other joints add torque at some of them.
-"""
-TORQUE_FLOOR = 0.3
-"""Share of the sampling rate from which the torque is noise."""
-MODEL_ERROR = 0.02
-"""Smallest error of a model, as a share of the torque's standard deviation."""
-AS_GOOD = 1.02
-"""Predicted error, in multiples of the smallest, that counts as equally good."""
-BANDS = 12
-"""Bands from 1 Hz to half the sampling rate, equally wide in log frequency; noise is their median.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +78,19 @@ class NoiseLimit:
         The error is the geometric mean over joints, so that each counts by its own relative change
         and none decides for all.
         """
-        tried = (self.frequency >= LOWEST) & (self.frequency < usual)
+        tried = (self.frequency >= RULES.lowest) & (self.frequency < usual)
         if not tried.any():
             return usual
         at = np.flatnonzero(tried)
         at = np.append(at, min(int(at[-1]) + 1, self.frequency.size - 1))
         mean = np.mean(np.log(self.error[at]), axis=1)
-        good = at[mean <= mean.min() + 2.0 * np.log(AS_GOOD)]
+        good = at[mean <= mean.min() + 2.0 * np.log(RULES.as_good)]
         return usual if good[-1] == at[-1] else float(self.frequency[good[-1]])
 
     def limiting_joint(self, usual: float) -> int:
         """Return the joint whose expected error grows most up to `usual` [Hz]."""
         last = min(int(np.searchsorted(self.frequency, usual)), self.frequency.size - 1)
-        first = min(int(np.searchsorted(self.frequency, LOWEST)), last)
+        first = min(int(np.searchsorted(self.frequency, RULES.lowest)), last)
         return int(np.argmax(self.error[last] / self.error[first : last + 1].min(axis=0)))
 
     def density(self, cutoff: float) -> Array:
@@ -112,8 +121,8 @@ def noise_limit(
     NoiseLimit or None
         None if no segment lasts two periods of the lowest cutoff, or nothing moves.
     """
-    window = min(round(WINDOW * rate), max(q.shape[0] for q, _ in segments))
-    if window < 2 * rate / LOWEST or rate < 4.0 * LOWEST:
+    window = min(round(RULES.window * rate), max(q.shape[0] for q, _ in segments))
+    if window < 2 * rate / RULES.lowest or rate < 4.0 * RULES.lowest:
         return None
     frequency = np.asarray(np.fft.rfftfreq(window, 1.0 / rate), dtype=np.float64)
     position, torque = (_spectrum([each[i] for each in segments], rate, window) for i in range(2))
@@ -124,7 +133,9 @@ def noise_limit(
     inertia = _squared_inertia(frequency, position, acceleration, torque)
     if not np.any(inertia > 0.0):
         return None
-    excess = np.clip(inertia * acceleration - torque, 0.0, None) * (frequency >= LOWEST)[:, None]
+    excess = (
+        np.clip(inertia * acceleration - torque, 0.0, None) * (frequency >= RULES.lowest)[:, None]
+    )
     share = np.divide(
         excess, inertia * acceleration, out=np.zeros_like(excess), where=acceleration * inertia > 0
     )
@@ -150,7 +161,7 @@ def _squared_inertia(
     frequency: Array, position: Array, acceleration: Array, torque: Array
 ) -> Array:
     """Return torque over acceleration, squared (n,), at frequencies of the motion."""
-    edges = np.geomspace(1.0, frequency[-1], BANDS + 1)
+    edges = np.geomspace(1.0, frequency[-1], RULES.bands + 1)
     bands = [(frequency >= a) & (frequency < b) for a, b in pairwise(edges)]
     noise = np.median([np.median(position[band], axis=0) for band in bands if band.any()], axis=0)
     velocity = (2.0 * np.pi * frequency[:, None]) ** 2 * position
@@ -161,7 +172,7 @@ def _squared_inertia(
     found = np.zeros(position.shape[1])
     for k in np.flatnonzero(moving.any(axis=0)):
         at = moving[:, k]
-        found[k] = np.quantile(torque[at, k] / acceleration[at, k], QUANTILE)
+        found[k] = np.quantile(torque[at, k] / acceleration[at, k], RULES.quantile)
     return found
 
 
@@ -169,15 +180,15 @@ def _expected_errors(
     frequency: Array, torque: Array, excess: Array, logged: Sequence[Array], rate: float
 ) -> Array:
     """Return the squared error with a low-pass at each frequency relative to an ideal one."""
-    above, width = (frequency >= LOWEST)[:, None], float(frequency[1])
-    floor = np.median(torque[frequency > TORQUE_FLOOR * rate], axis=0)
+    above, width = (frequency >= RULES.lowest)[:, None], float(frequency[1])
+    floor = np.median(torque[frequency > RULES.torque_floor * rate], axis=0)
     useful = np.clip(torque - floor, 0.0, None) * above
     lost = (useful.sum(axis=0) - np.cumsum(useful, axis=0)) * width
     power = np.maximum(
         (torque * above).sum(axis=0) * width,
-        MODEL_ERROR**2 * np.mean([tau.var(axis=0) for tau in logged], axis=0),
+        RULES.model_error**2 * np.mean([tau.var(axis=0) for tau in logged], axis=0),
     )
     power = np.maximum(power, np.finfo(np.float64).tiny)
     rest = np.maximum(power - useful.sum(axis=0) * width, 0.0)
     errors = (rest + lost + np.cumsum(excess, axis=0) * width) / power
-    return np.asarray(np.maximum(errors, MODEL_ERROR**2), dtype=np.float64)
+    return np.asarray(np.maximum(errors, RULES.model_error**2), dtype=np.float64)

@@ -3,41 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.compilation import kernel
 
-MOST_DIFFERENCES = 20_000
-"""Differences of a joint that are used; of longer recordings every second, third, ..."""
-FEWEST = 30
-"""Differences other than 0 from which a step is measured."""
-NEAR = 0.1
-"""Distance from a multiple of the step, in steps, that counts as on it."""
-ROUGHLY = 0.45
-"""Share of a few of the differences that a step must have to be looked at more closely."""
+
+@dataclass(frozen=True, slots=True)
+class StepRules:
+    """Hold when differences of positions are multiples of a step."""
+
+    most_differences: int = 20_000
+    """Differences of a joint that are used; of longer recordings every second, third, ..."""
+    fewest: int = 30
+    """Differences other than 0 from which a step is measured."""
+    near: float = 0.1
+    """Distance from a multiple of the step, in steps, that counts as on it."""
+    roughly: float = 0.45
+    """Share of a few of the differences that a step must have to be looked at more closely."""
+    on_multiples: float = 0.6
+    """Share of the differences on multiples of a step; of a continuous signal it is about 0.2.
+
+    Up to 0.4 of them may be off: samples that were interpolated, or a digit that was lost.
+    """
+    one_multiple: float = 0.6
+    """Share of one multiple among the changes, from which they may be a constant speed."""
+    exact: float = 0.01
+    """Spread of the changes, in steps, up to which one multiple is a step all the same."""
+    largest_multiple: float = 60.0
+    """Typical difference in steps beyond which a step is too fine to be measured."""
+
+
+RULES = StepRules()
+# Kernels take numbers, no objects.
+NEAR, LARGEST_MULTIPLE = RULES.near, RULES.largest_multiple
 FEW = 1_000
 """Differences that this share is taken from; its standard error is 0.015."""
-ON_MULTIPLES = 0.6
-"""Share of the differences on multiples of a step; of a continuous signal it is about 0.2.
-
-Up to 0.4 of them may be off: samples that were interpolated, or a digit that was lost.
-"""
-ONE_MULTIPLE = 0.6
-"""Share of one multiple among the changes, from which they may be a constant speed."""
-EXACT = 0.01
-"""Spread of the changes, in steps, up to which one multiple is a step all the same."""
-LARGEST_MULTIPLE = 60.0
-"""Typical difference in steps beyond which a step is too fine to be measured."""
 
 
 def position_steps(segments: Sequence[Array]) -> Array:
     """Return the step of the values of each joint (n,), 0 where none is found.
 
     A joint that takes values on a grid changes between samples by multiples of its step, whatever
-    the noise before the quantisation. The step is the largest number of which `ON_MULTIPLES` of
-    the changes are multiples. `segments` are positions (L, n).
+    the noise before the quantisation. The step is the largest number of which a share
+    `RULES.on_multiples` of the changes are multiples. `segments` are positions (L, n).
 
     Examples
     --------
@@ -54,20 +65,20 @@ def position_steps(segments: Sequence[Array]) -> Array:
 
 
 def _step(differences: Array) -> float:
-    size = np.abs(differences[:: max(1, differences.size // MOST_DIFFERENCES)])
+    size = np.abs(differences[:: max(1, differences.size // RULES.most_differences)])
     size = size[np.isfinite(size)]
     if not size.size:
         return 0.0
     n_all = size.size
     size = size[size > 1e-9 * max(float(size.max()), np.finfo(np.float64).tiny)]
-    if size.size < FEWEST:
+    if size.size < RULES.fewest:
         return 0.0
     few = np.ascontiguousarray(size[:: max(1, size.size // FEW)])
     for candidate in _candidates(size):
-        if _share(few, _refined(few, candidate)) < ROUGHLY:
+        if _share(few, _refined(few, candidate)) < RULES.roughly:
             continue
         step = _refined(size, candidate)
-        if step > 0.0 and _share(size, step) >= ON_MULTIPLES:
+        if step > 0.0 and _share(size, step) >= RULES.on_multiples:
             return 0.0 if _constant_speed(size / step, n_all) else step
     return 0.0
 
@@ -79,7 +90,7 @@ def _candidates(size: Array) -> Array:
     gaps = np.diff(np.unique(np.round(size / typical, 3))) * typical
     gaps = np.quantile(gaps, np.linspace(0.0, 0.9, 13)) if gaps.size else gaps
     found = np.concatenate([common, common / 2.0, common / 3.0, gaps])
-    found = found[(found > typical / LARGEST_MULTIPLE) & (found <= 1.5 * typical)]
+    found = found[(found > typical / RULES.largest_multiple) & (found <= 1.5 * typical)]
     return np.unique(found)[::-1]
 
 
@@ -118,4 +129,4 @@ def _share(size: Array, step: float) -> float:
 def _constant_speed(multiples: Array, n_all: int) -> bool:
     """Return whether the changes are of one size, as at a constant speed, and not exactly so."""
     alike = np.abs(multiples - 1.0) < NEAR
-    return bool(alike.sum() > ONE_MULTIPLE * n_all and np.std(multiples[alike]) > EXACT)
+    return bool(alike.sum() > RULES.one_multiple * n_all and np.std(multiples[alike]) > RULES.exact)

@@ -44,8 +44,6 @@ BESIDE = np.array([-3, -2, -1, 2, 3, 4])
 """Steps beside the two of a spike, from the first of them."""
 FEWEST = 20
 """Samples that differ from the one before, at least."""
-COUNTED = 20_000
-"""Samples from which about quantiles are taken."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +73,8 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
     sizes = np.abs(steps)
     prominence = np.minimum(sizes[1:], sizes[:-1])
     prominence *= steps[1:] * steps[:-1] < 0.0
-    some = slice(None, None, max(1, places.size // COUNTED))
+    # Samples from which about quantiles are taken.
+    some = slice(None, None, max(1, places.size // 20_000))
     usual = np.quantile(prominence[some], RULES.usual, axis=0)
     low, high = np.quantile(tau[places[some]], [0.005, 0.995], axis=0)
     least = np.maximum(RULES.times * usual, RULES.share * (high - low))

@@ -9,12 +9,8 @@ import numpy as np
 
 from asbuilt.arrays import Array
 
-LARGEST_LAG = 0.25
-"""Largest lag of a usable velocity behind the position's derivative, in sample periods."""
 LARGEST_GAIN_ERROR = 0.02
 """Largest deviation of its scale from that of the derivative."""
-LARGEST_NOISE = 0.5
-"""Largest share that its noise may have of the noise of the differentiated position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +25,12 @@ class VelocityVerdict:
     @property
     def helps(self) -> bool:
         """Whether lag and gain error are small and the noise is at most half."""
+        # Largest lag of a usable velocity behind the position's derivative, in sample periods.
+        # 0.5: largest share that its noise may have of the noise of the differentiated position.
         return (
-            abs(self.lag) * self.rate <= LARGEST_LAG
+            abs(self.lag) * self.rate <= 0.25
             and abs(self.gain - 1.0) <= LARGEST_GAIN_ERROR
-            and self.noise <= LARGEST_NOISE
+            and self.noise <= 0.5
         )
 
     @property

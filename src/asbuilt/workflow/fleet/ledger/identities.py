@@ -11,8 +11,6 @@ LONGEST = 60
 """Characters of an identity."""
 LONGEST_PATTERN = 250
 """Characters of a pattern that finds identities in paths."""
-LONGEST_NAME = 250
-"""Bytes of a folder's name that every file system takes."""
 
 
 def checked_id(robot_id: str) -> str:
@@ -28,7 +26,8 @@ def checked_id(robot_id: str) -> str:
             f" {robot_id[: LONGEST + 1]!r}",
             cure=Cure("give a short name or a serial number"),
         )
-    if len(folder) > LONGEST_NAME:
+    # Bytes of a folder's name that every file system takes.
+    if len(folder) > 250:
         raise UsageError(f"the identity {robot_id!r} is too long for the name of a folder")
     return robot_id
 

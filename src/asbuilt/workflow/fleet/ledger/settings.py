@@ -26,8 +26,6 @@ from asbuilt.untrusted import parsed_json
 FORMAT = "asbuilt fleet settings"
 FORMAT_VERSION = 1
 SOFTWARE = version_of("asbuilt")
-DIGITS = 12
-"""Hexadecimal digits of a digest in names."""
 DESCRIBED = ("source", "citation", "notes")
 """Fields of a robot that say where it is from; the same robot may come from two places."""
 
@@ -185,7 +183,8 @@ def robot_type_of(described: RobotModel) -> str:
 
 def _digest(document: Mapping[str, Any]) -> str:
     text = json.dumps(plain(document), sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+    # Hexadecimal digits of a digest in names.
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def _damaged(path: str, why: str) -> ResultError:

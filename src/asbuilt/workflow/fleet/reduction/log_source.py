@@ -19,8 +19,6 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.workflow.fleet.ledger.entry import DateSource
 
-STREAMED = 50e6
-"""Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB."""
 EARLIEST, LATEST = datetime(2000, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 """Dates that a clock can be trusted for; a counter since power-on is none."""
 _IN_NAME = re.compile(
@@ -61,8 +59,9 @@ def read_logs(
         If one cannot be read, does not fit the robot, or holds samples.
     """
     extra = any(find_sheet(path, reading.sheet)[0].columns.extra for path in paths)
+    # Size [bytes] from which a log is read in chunks, so that a worker needs less than 700 MB.
     model, (read,) = fitted_recordings(
-        described, (list(paths),), reading, streamed_from=None if extra else STREAMED
+        described, (list(paths),), reading, streamed_from=None if extra else 50e6
     )
     logged = [each for each in read if not isinstance(each, Samples)]
     if len(logged) < len(read):

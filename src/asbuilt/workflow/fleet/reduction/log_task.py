@@ -37,15 +37,24 @@ from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 from asbuilt.workflow.fleet.reduction.log_source import log_date, read_logs, source_hash
 from asbuilt.workflow.prepare import prepare
 
-BLOCKS = 16
-"""Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all."""
-OTHER_CUTOFF = 1.5
-"""Ratio of the cutoff that a log calls for to that of its type from which it is named."""
-OTHER_POSITION = 5e-3
-"""Difference of positions [rad or m] of a locked joint from which two logs do not merge."""
-CHECKED_SECONDS = 120.0
-CHECKED_SAMPLES = 10_000
-"""Time [s] and samples at the beginning of a log whose check suffices if it finds nothing."""
+
+@dataclass(frozen=True, slots=True)
+class LogRules:
+    """Hold how a log is reduced, and when it differs from those of its type."""
+
+    blocks: int = 16
+    """Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all."""
+    other_cutoff: float = 1.5
+    """Ratio of the cutoff that a log calls for to that of its type from which it is named."""
+    other_position: float = 5e-3
+    """Difference of positions [rad or m] of a locked joint from which two logs do not merge."""
+    checked_seconds: float = 120.0
+    """Time [s] ..."""
+    checked_samples: int = 10_000
+    """Time [s] and samples at the beginning of a log whose check suffices if it finds nothing."""
+
+
+RULES = LogRules()
 COVARIATES = ("temperature", "temp")
 """Words in the names of quantities that are kept beside the information."""
 
@@ -178,8 +187,8 @@ def _read(task: LogTask, settings: TypeSettings) -> tuple[RobotModel, Recording 
 def reduced_samples(
     settings: TypeSettings, samples: Samples, beside: ColumnsBeside | None = None
 ) -> SquareRootInformation:
-    """Return the information of samples in about `BLOCKS` time blocks or fewer, by one thread."""
-    seconds = samples.duration / BLOCKS
+    """Return the information of samples in at most some `RULES.blocks` blocks, by one thread."""
+    seconds = samples.duration / RULES.blocks
     information = accumulate_stream(
         settings.model,
         settings.base,
@@ -188,7 +197,7 @@ def reduced_samples(
         threads=1,
         beside=beside,
     )
-    return merged_blocks(information, 2 * BLOCKS)
+    return merged_blocks(information, 2 * RULES.blocks)
 
 
 def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tuple[Finding, ...]:
@@ -198,7 +207,7 @@ def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tu
     kept = replace(settings.asked_chain, rests=True)  # standstill speeds, unused here, take longer
     wanted = resolve_chain(kept, head).cutoff or 0.0
     ratio = wanted / settings.chain.cutoff
-    if 1.0 / OTHER_CUTOFF < ratio < OTHER_CUTOFF:
+    if 1.0 / RULES.other_cutoff < ratio < RULES.other_cutoff:
         return ()
     return (
         Finding(
@@ -240,8 +249,8 @@ def _checked(settings: TypeSettings, beginning: Recording) -> tuple[str, ...]:
 
     All of a beginning is checked only if something is found in the first part of it.
     """
-    early = int(np.count_nonzero(beginning.t - beginning.t[0] < CHECKED_SECONDS))
-    enough = slice(0, max(CHECKED_SAMPLES, early))
+    early = int(np.count_nonzero(beginning.t - beginning.t[0] < RULES.checked_seconds))
+    enough = slice(0, max(RULES.checked_samples, early))
     if enough.stop < beginning.n_samples:
         first = check_recording(settings.model, beginning.taken(enough))
         if not (first.errors or first.warnings):
@@ -288,7 +297,7 @@ def _check_fits(path: Path, model: RobotModel, head: Recording, settings: TypeSe
         )
     for joint, held in settings.model.locked_joints.items():
         here = model.locked_joints.get(joint, held)
-        if abs(here - held) > OTHER_POSITION:
+        if abs(here - held) > RULES.other_position:
             raise RecordingError(
                 f"{path} was recorded with {joint} at {here:.4g}; the logs of"
                 f" {settings.robot_type} have it at {held:.4g}",

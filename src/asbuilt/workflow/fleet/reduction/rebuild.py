@@ -32,9 +32,6 @@ from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Progress
 
-CHOSEN_FROM = 8
-"""Logs of a type, evenly spread, from which the new settings are chosen."""
-
 
 def rebuild_ledger(
     ledger: str | Path,
@@ -158,7 +155,8 @@ def _renewed(
     options: StudyOptions,
 ) -> TypeSettings:
     """Return the next settings of a type, chosen from logs that are evenly spread over `items`."""
-    picked = np.unique(np.linspace(0, len(items) - 1, CHOSEN_FROM).round().astype(int))
+    # Logs of a type, evenly spread, from which the new settings are chosen.
+    picked = np.unique(np.linspace(0, len(items) - 1, 8).round().astype(int))
     asked = replace(
         options,
         drive=before.asked_drive if options.drive is None else options.drive,

@@ -11,9 +11,6 @@ from asbuilt.identification.result.torque_prediction import Prediction
 from asbuilt.writers.figures.figure_style import AS_BUILT, GREY, INK, headline, styled
 from asbuilt.writers.figures.kinds.axes import Axes, axes_in
 
-ROW = 0.17
-"""Height of a parameter's row [inch]."""
-
 
 def draw_parameters(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
     """Draw each parameter less its CAD value (0 where unknown) in units of its standard error.
@@ -28,7 +25,8 @@ def draw_parameters(result: IdentificationResult, prediction: Prediction | None,
     rows = np.arange(len(difference))
     determined = np.array([each.determined for each in result.parameters])
     with styled():
-        (axis,) = own = axes_in(axes, 1, 7.0, ROW * len(rows) + 1.0)
+        # 0.17: height of a parameter's row [inch].
+        (axis,) = own = axes_in(axes, 1, 7.0, 0.17 * len(rows) + 1.0)
         for chosen, color, label in (
             (determined, AS_BUILT, "as built, with its interval"),
             (~determined, GREY, "undetermined"),

@@ -10,9 +10,6 @@ from asbuilt.writers.figures.figure_style import headline, styled
 from asbuilt.writers.figures.kinds.axes import Axes, axes_in, required
 from asbuilt.writers.figures.torque_figure import draw_errors, draw_torque, torque_label
 
-ROW = 1.25
-"""Height of a joint's axis [inch]."""
-
 
 def draw_torques(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
     """Draw measured and predicted torque of a recording."""
@@ -29,7 +26,8 @@ def _by_joint(
 ) -> Axes:
     joints = result.model.joints
     with styled():
-        own = axes_in(axes, len(joints), 8.0, ROW * len(joints) + 0.7)
+        # 1.25: height of a joint's axis [inch].
+        own = axes_in(axes, len(joints), 8.0, 1.25 * len(joints) + 0.7)
         for k, (axis, joint) in enumerate(zip(own, joints, strict=True)):
             torques = shown.t, shown.measured[:, k], shown.predicted[:, k]
             (draw_errors if residuals else draw_torque)(axis, *torques)

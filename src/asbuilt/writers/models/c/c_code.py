@@ -32,10 +32,6 @@ from asbuilt.writers.models.sample_states import sample_states
 
 CHECKED_STATES = 3
 """States in the self-test of the C file."""
-SAME_TORQUE = 1e-12
-"""Relative torque difference that is rounding."""
-LONGEST_TEXT = 2000
-"""Longest string; C99 compilers accept 4095 characters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +211,8 @@ def _fewest_parameters(model: RobotModel) -> Array:
     states = sample_states(model, 100)
     torques = inverse_dynamics(model, *states)
     apart = np.abs(inverse_dynamics(model, *states, parameters=chi) - torques).max()
-    return chi if apart <= SAME_TORQUE * np.abs(torques).max() else model.parameters
+    # Relative torque difference that is rounding.
+    return chi if apart <= 1e-12 * np.abs(torques).max() else model.parameters
 
 
 def _regressor(
@@ -425,7 +422,8 @@ def _comment(text: str) -> str:
 
 
 def _string(text: str) -> str:
-    plain = re.sub(r"[^ -~]", "_", text)[:LONGEST_TEXT]
+    # Longest string; C99 compilers accept 4095 characters.
+    plain = re.sub(r"[^ -~]", "_", text)[:2000]
     return '"' + plain.replace("\\", "\\\\").replace('"', '\\"').replace("?", "\\?") + '"'
 
 

@@ -8,19 +8,11 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
-from asbuilt.writers.programs.log_sheet import sheet_text
-from asbuilt.writers.programs.preamble import commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render
+from asbuilt.writers.programs.program_text import commented, numbers, preamble, render, sheet_text
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 CONTROL_RATE = 1000.0
 """Rate at which the robot takes positions and checks them for jumps [Hz]."""
-
-ASSUMED_JERK = 5000.0
-"""Jerk limit where the description gives none [rad/s^3].
-
-The least of the Panda's is 3750, of the FR3's 5000.
-"""
 
 
 class FrankaFormat(ProgramFormat):
@@ -113,7 +105,9 @@ class FrankaFormat(ProgramFormat):
 
 def _check_smoothness(request: ProgramRequest) -> None:
     limit = MotionBounds.of(request.model).jerk
-    limit = np.where(np.isfinite(limit), limit, ASSUMED_JERK)
+    # Jerk limit where the description gives none [rad/s^3]. The least of the Panda's is 3750, of
+    # the FR3's 5000.
+    limit = np.where(np.isfinite(limit), limit, 5000.0)
     t = request.motion.sample_times(CONTROL_RATE)
     acceleration = np.pad(request.motion.derivative(t, 2), ((1, 1), (0, 0)))
     jerk = np.abs(np.diff(acceleration, axis=0)) * CONTROL_RATE

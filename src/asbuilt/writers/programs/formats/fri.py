@@ -8,10 +8,15 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
 from asbuilt.writers.programs.formats.sunrise import PACKAGE, SIGN_NOTE
-from asbuilt.writers.programs.log_sheet import sheet_text
 from asbuilt.writers.programs.naming import class_name
-from asbuilt.writers.programs.preamble import commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render, rounded_down
+from asbuilt.writers.programs.program_text import (
+    commented,
+    numbers,
+    preamble,
+    render,
+    rounded_down,
+    sheet_text,
+)
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 SPEED_ALLOWANCE = 1.05

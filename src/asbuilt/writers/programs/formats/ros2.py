@@ -5,10 +5,15 @@ from __future__ import annotations
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import times_to_end
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.writers.programs.naming import yaml_string
-from asbuilt.writers.programs.preamble import commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render
+from asbuilt.writers.programs.program_text import (
+    GAINS_TO_FILL_IN,
+    commented,
+    numbers,
+    preamble,
+    render,
+    sheet_text,
+)
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 DECIMALS = 9

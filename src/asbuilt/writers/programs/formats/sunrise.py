@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -10,27 +11,39 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.log_sheet import sheet_text
 from asbuilt.writers.programs.naming import class_name
-from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render, rounded_down
+from asbuilt.writers.programs.program_text import (
+    DRY_RUN_PART,
+    commented,
+    numbers,
+    preamble,
+    render,
+    rounded_down,
+    sheet_text,
+)
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import Segment, point_to_point_segments, spline_times
 
 PACKAGE = "application"
 """Java package of the application."""
 
-SPLINE_TOLERANCE = 0.01
-"""How far a spline through the points may leave the designed path [rad]."""
 
-MOST_POINTS = 1000
-"""Most points of one Java class, whose constants one method of 64 KiB sets."""
+@dataclass(frozen=True, slots=True)
+class SunriseRules:
+    """Hold what the controller is asked for, and what a class of Java takes."""
 
-ACCELERATION = 0.5
-"""Acceleration and jerk given to the controller, as parts of what its axes can do."""
+    spline_tolerance: float = 0.01
+    """How far a spline through the points may leave the designed path [rad]."""
+    most_points: int = 1000
+    """Most points of one Java class, whose constants one method of 64 KiB sets."""
+    acceleration: float = 0.5
+    """Acceleration and jerk given to the controller, as parts of what its axes can do."""
+    least_speed: float = 0.01
+    """Least speed that is asked for, as a part of the axes' maximum; the controller
+    refuses zero."""
 
-LEAST_SPEED = 0.01
-"""Least speed that is asked for, as a part of the axes' maximum; the controller refuses zero."""
+
+SUNRISE = SunriseRules()
 
 SIGN_NOTE = (
     "KUKA reports measured joint torques with the opposite sign, as what the link exerts on the"
@@ -70,14 +83,15 @@ class SunriseFormat(ProgramFormat):
         segments = point_to_point_segments(request.motion)
         spline = segments is None
         segments = segments if segments is not None else _spline_segments(request)
-        if len(segments) > MOST_POINTS:
+        if len(segments) > SUNRISE.most_points:
             raise MotionError(
-                f"the motion needs {len(segments)} points, more than the {MOST_POINTS} that fit"
-                " into one application; split it, or give the format fri, which streams"
+                f"the motion needs {len(segments)} points, more than the {SUNRISE.most_points} that"
+                " fit into one application; split it, or give the format fri, which streams"
             )
         limit = MotionBounds.of(request.model).velocity
         speeds = [
-            float(np.clip((segment.speed / limit).max(), LEAST_SPEED, 1.0)) for segment in segments
+            float(np.clip((segment.speed / limit).max(), SUNRISE.least_speed, 1.0))
+            for segment in segments
         ]
         approach = min(0.1, float((request.approach_speed / limit).min()))
         name = class_name(request.name, suffix="Excitation")
@@ -121,8 +135,8 @@ class SunriseFormat(ProgramFormat):
             dry_run=f"{1 / DRY_RUN_SLOWDOWN:g}",
             dry_run_percent=DRY_RUN_PART,
             approach=rounded_down(approach),
-            acceleration=f"{ACCELERATION:g}",
-            jerk=f"{ACCELERATION:g}",
+            acceleration=f"{SUNRISE.acceleration:g}",
+            jerk=f"{SUNRISE.acceleration:g}",
             tolerance=f"{request.start_tolerance.min():g}",
             interval=request.period_ms,
             start=numbers(request.motion.start),
@@ -163,7 +177,7 @@ class SunriseFormat(ProgramFormat):
 
 
 def _spline_segments(request: ProgramRequest) -> tuple[Segment, ...]:
-    times = spline_times(request.motion, SPLINE_TOLERANCE)
+    times = spline_times(request.motion, SUNRISE.spline_tolerance)
     segments = []
     for begin, end in pairwise(times):
         within = np.linspace(begin, end, 21)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from asbuilt.errors import MotionError
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.writers.programs.naming import identifier, plain_text
-from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
-from asbuilt.writers.programs.rendering import numbers, render
+from asbuilt.writers.programs.program_text import (
+    DRY_RUN_PART,
+    GAINS_TO_FILL_IN,
+    commented,
+    numbers,
+    preamble,
+    render,
+    sheet_text,
+)
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import hermite_knots
-
-TOLERANCE = 1e-4
-"""How far the cubics between the points may leave the motion [rad]."""
 
 LOOK_AHEAD, GAIN = 0.05, 600
 """servoj's lookahead_time [s] (0.03 to 0.2) and gain (100 to 2000)."""
@@ -83,7 +86,8 @@ class UrScriptFormat(ProgramFormat):
             ),
         )
         head = commented(preamble(request, self.title, use), "#")
-        knots = hermite_knots(request.motion, TOLERANCE)
+        # How far the cubics between the points may leave the motion [rad].
+        knots = hermite_knots(request.motion, 1e-4)
         q, v = request.motion.derivative(knots[1:]), request.motion.derivative(knots[1:], 1)
         values = {
             "preamble": head,

@@ -26,8 +26,6 @@ OTHERS = (".vel", ".acc", ".effort", ".torque", ".current", ".load", ".temp")
 """Ends of features that are no positions; their units are not known either."""
 LARGEST = 1e9
 """Bytes of the largest file of a dataset that is read."""
-GAP = 10.0
-"""Time [s] between episodes, whose clocks each begin at zero."""
 
 
 def read_lerobot(path: Path) -> LogTable:
@@ -126,7 +124,8 @@ def _times(frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
     else:
         t = np.arange(n) / float(info.get("fps") or 30.0)
     fresh = np.concatenate([[False], np.diff(t) <= 0.0])
-    before = np.concatenate([[0.0], np.where(fresh[1:], t[:-1] - t[1:] + GAP, 0.0)])
+    # Time [s] between episodes, whose clocks each begin at zero.
+    before = np.concatenate([[0.0], np.where(fresh[1:], t[:-1] - t[1:] + 10.0, 0.0)])
     return np.asarray(t + np.cumsum(before))
 
 

@@ -1,14 +1,62 @@
-"""Header of every program: motion, margins, what is checked, how to run it."""
+"""Texts of every program: templates filled in, header, and the sheet of its log."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from math import floor
+from typing import Any
 
 import numpy as np
+import tomli_w
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asbuilt.writers.programs.naming import plain_text
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a template filled in.
+
+    A value that the template needs and does not get is an error.
+    """
+    return _environment().get_template(template).render(**values)
+
+
+def numbers(values: Iterable[float], decimals: int = 6) -> str:
+    """Return numbers with a fixed count of decimals, separated by commas; no minus before zero.
+
+    Examples
+    --------
+    >>> numbers([1.0, -0.25, -1e-9], 3)
+    '1.000, -0.250, 0.000'
+    """
+    return ", ".join(f"{round(float(value), decimals) + 0.0:.{decimals}f}" for value in values)
+
+
+def rounded_down(value: float, decimals: int = 4) -> str:
+    """Return a positive number with fixed decimals, rounded down as a limit must be.
+
+    Examples
+    --------
+    >>> rounded_down(0.06999), rounded_down(0.5)
+    ('0.0699', '0.5000')
+    """
+    return f"{floor(value * 10**decimals + 1e-9) / 10**decimals:.{decimals}f}"
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("asbuilt.writers.programs"),
+        undefined=StrictUndefined,
+        autoescape=False,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
 
 WIDTH = 100
 """Longest line of the header."""
@@ -160,3 +208,32 @@ def commented(lines: Sequence[str], mark: str) -> str:
 def _without_limit(request: ProgramRequest, quantity: str) -> list[str]:
     known = {margin.joint for margin in request.report.margins if margin.quantity == quantity}
     return [plain_text(name) for name in request.model.joint_names if name not in known]
+
+
+GAINS_TO_FILL_IN = (
+    "fill in the N m per ampere of your robot's joints and take away the mark; `asbuilt gains`"
+    " finds them from a payload of known mass"
+)
+
+
+def sheet_text(
+    request: ProgramRequest,
+    comments: Sequence[str],
+    fields: Mapping[str, Any],
+    *,
+    gains: str | None = None,
+) -> str:
+    """Return a recording sheet (TOML) for the log of the program, with comments above.
+
+    `gains` says what belongs into the line of gains that waits to be filled in.
+    """
+    title = f"Recording sheet for the log of motion {request.name} on {request.model.name}."
+    lines = [line for comment in (title, *comments) for line in wrapped(plain_text(comment))]
+    scalars = {key: value for key, value in fields.items() if not isinstance(value, Mapping)}
+    tables = {key: value for key, value in fields.items() if isinstance(value, Mapping)}
+    text = tomli_w.dumps(scalars)
+    if gains is not None:
+        places = ", ".join(f"g{k}" for k in range(1, request.model.n_joints + 1))
+        text += commented([*wrapped(plain_text(gains)), f"gains = [{places}]"], "#") + "\n"
+    parts = [commented(lines, "#") + "\n", text, *([tomli_w.dumps(tables)] if tables else [])]
+    return "\n".join(parts)

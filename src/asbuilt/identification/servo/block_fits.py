@@ -1,0 +1,88 @@
+"""Fits of a joint's servo rows in which blocks with other causes, such as contact, weigh less."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.identification.servo.servo_rows import ServoRows
+
+CLUSTER = 5
+"""Blocks together within which residuals are taken to be correlated."""
+
+
+def robust_residual(rows: ServoRows, k: int, used: Mask | None = None) -> Array:
+    """Return the residual of a joint's fit to the blocks `used`, as a combination of its rows."""
+    counting = np.ones(len(rows.times)) if used is None else used.astype(np.float64)
+    weight = counting
+    # 4: passes of the robust weights, own choice.
+    for _ in range(4):
+        gram = rows.total(k, weight)
+        x = truncated_solution(gram[:-1, :-1], gram[:-1, -1])
+        weight = counting * block_weights(rows, k, np.append(-x, 1.0))
+    return np.append(-x, 1.0)
+
+
+def usual_variances(rows: ServoRows, joints: Indices) -> Array:
+    """Return the median mean square of the residuals of each joint over blocks (n,), else 1."""
+    usual = np.ones(len(rows.support))
+    for k in joints.tolist():
+        variances = rows.variances(k, robust_residual(rows, k))
+        if np.any(np.isfinite(variances)):
+            usual[k] = max(float(np.nanmedian(variances)), 1e-300)
+    return usual
+
+
+def refined(costs: Callable[[float], Array], best: float, ratio: float, tolerance: float) -> float:
+    """Return the positive value of least cost within a ratio of the best that was tried."""
+    found = minimize_scalar(
+        lambda x: float(np.sum(costs(float(np.exp(x))))),
+        bounds=np.log(best) + np.log(ratio) * np.array([-1.0, 1.0]),
+        method="bounded",
+        options={"xatol": tolerance},
+    )
+    return float(np.exp(found.x))
+
+
+def logarithmic_error(costs: Callable[[float], Array], value: float, rows: ServoRows) -> float:
+    """Return the standard error of the logarithm of a value, from the scores of the blocks.
+
+    `costs` returns those of the blocks, (B,) or (joints, B).
+    """
+    step = 0.05
+    up, here, down = (
+        np.atleast_2d(costs(float(value * np.exp(s * step)))).sum(axis=0) for s in (1.0, 0.0, -1.0)
+    )
+    scores = clustered((up - down) / (2.0 * step), rows)
+    curvature = float(np.sum(up + down - 2.0 * here)) / step**2
+    return float(np.sqrt(np.sum(scores**2)) / curvature) if curvature > 0.0 else float("inf")
+
+
+def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
+    """Return `1 / (1 + r / median(r))` with the residual variance r of a joint in each block."""
+    left = rows.variances(k, residual)
+    if np.all(np.isnan(left)):
+        return np.ones(left.size)
+    return np.nan_to_num(1.0 / (1.0 + left / max(float(np.nanmedian(left)), 1e-300)), nan=0.5)
+
+
+def truncated_solution(normal: Array, right: Array, smallest: float = 1e-10) -> Array:
+    """Return the least solution of normal equations, scaled, without directions of no information.
+
+    Eigenvalues of the scaled matrix below `smallest` times the largest count as none.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values, axes = np.linalg.eigh(normal * np.outer(scale, scale))
+    kept = values > smallest * values[-1]
+    along = axes[:, kept].T @ (scale * right) / values[kept]
+    return np.asarray(scale * (axes[:, kept] @ along))
+
+
+def clustered(scores: Array, rows: ServoRows) -> Array:
+    """Return the sums of scores (B, ...) over neighbouring blocks, `CLUSTER` at a time."""
+    sources = np.array([each.source for each in rows.times])
+    firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
+    return np.asarray(np.add.reduceat(scores, firsts))
