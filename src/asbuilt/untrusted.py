@@ -220,8 +220,13 @@ def depth(content: Any) -> int:
 def reason(problem: BaseException, most: int = 200) -> str:
     """Return why something failed in one short line, without the path, which the caller gives."""
     said = getattr(problem, "strerror", None) or str(problem).strip()
-    said = " ".join(str(said).split()) or type(problem).__name__
-    return said if len(said) <= most else f"{said[:most]}..."
+    return shortened(str(said), most) or type(problem).__name__
+
+
+def shortened(text: str, most: int = 200) -> str:
+    """Return a text on one line, cut if it is very long."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else f"{line[:most]}..."
 
 
 def shown_path(path: Path | str) -> str:

@@ -10,6 +10,7 @@ import io
 import json
 import math
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -25,8 +26,7 @@ from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.isolation import leave_current_folder
-from asbuilt.untrusted import inputs_kept, xacro_trusted
+from asbuilt.untrusted import inputs_kept, reason, shown_path, xacro_trusted
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
@@ -35,6 +35,8 @@ FULL_DISK = "asbuilt: the output cannot be written: No space left on device; fre
 
 LONGEST_MESSAGE = 3000
 """Characters of an error, which may quote names from a file."""
+LONG_WORD = r"\S{200,}"
+"""What no robot, file or joint is called; an error quotes its beginning."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
@@ -263,6 +265,9 @@ def _status(given: list[str]) -> int:
         if isinstance(problem, OSError) and problem.errno == errno.ENOSPC:
             _say(FULL_DISK)
             return 1
+        if isinstance(problem, OSError) and problem.filename is not None:
+            message = f"{shown_path(str(problem.filename))}: {reason(problem)}"
+            return _fail(given, type(problem).__name__, message, "", {}, 1)
         if os.environ.get("ASBUILT_TRACEBACK"):
             traceback.print_exc()
         message = f"unexpected {type(problem).__name__}: {problem}"
@@ -300,6 +305,7 @@ def _fail(
     given: Sequence[str], kind: str, message: str, hint: str, values: dict[str, Any], status: int
 ) -> int:
     """Report an error: one document on stdout with --json, else a message on stderr."""
+    message = re.sub(LONG_WORD, lambda word: shown_path(word[0]), message)
     if len(message) > LONGEST_MESSAGE:
         message = message[:LONGEST_MESSAGE] + " ..."
     if "--json" in given:
@@ -315,8 +321,3 @@ def _say(text: str) -> None:
     """Print on stderr, which may be closed."""
     with contextlib.suppress(OSError, ValueError):
         print(text, file=sys.stderr, flush=True)
-
-
-if __name__ == "__main__":
-    leave_current_folder()
-    main()

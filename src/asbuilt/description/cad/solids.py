@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -64,7 +65,7 @@ def read_solids(
         )
     poses = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
     poses |= {frame.name: (frame.link, frame.placement) for frame in model.frames}
-    searched = [*folders, path.parent, *path.resolve().parent.parents]
+    searched = [*folders, path.parent, *Path(os.path.realpath(path)).parent.parents]
     other: GeometryKind = "collision" if prefer == "visual" else "visual"
     found = []
     for element in root.findall("link"):
@@ -105,6 +106,8 @@ def _solid(
         try:
             solid = _body(geometry[0], place, folders)
         except DescriptionError as error:
+            if geometry[0].tag != "mesh":
+                raise  # a number that makes no sense, not a file to look for elsewhere
             missing.append(geometry[0].get("filename", geometry[0].tag))
             doubts.append(str(error))
             continue
