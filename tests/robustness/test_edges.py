@@ -91,43 +91,6 @@ def test_paths_that_lead_nowhere(
     assert len(err) < 700, err
 
 
-CYLINDER = '<cylinder radius="0.1" length="0.3"/>'
-
-
-@pytest.mark.parametrize(
-    ("shape", "said"),
-    [
-        ('<cylinder radius="-0.1" length="0.3"/>', "radius of <cylinder> is -0.1"),
-        ('<cylinder radius="nan" length="0.3"/>', "radius is nan"),
-        ('<sphere radius="-1"/>', "radius of <sphere> is -1"),
-        ('<box size="1 -1 1"/>', "size of <box> is -1"),
-        ('<box size="1e200 1 1"/>', "size is 1e200"),
-    ],
-)
-def test_shapes_of_no_body_are_refused(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, shape: str, said: str
-) -> None:
-    path = tmp_path / "arm.urdf"
-    collision = f"<collision><geometry>{shape}</geometry></collision></link>\n<joint"
-    path.write_text(corpus.URDF.replace("</link>\n<joint", collision))
-    status, _, err = call(capsys, "masses", path)
-    assert status == 1
-    assert " ".join(said.split()[-2:]) in err, err
-    assert "link 'a', collision" in err
-
-
-@pytest.mark.parametrize("density", ["1e308", "nan", "0", "-5", "a=1e308"])
-def test_densities_of_no_matter_are_refused(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, density: str
-) -> None:
-    path = tmp_path / "arm.urdf"
-    collision = f"<collision><geometry>{CYLINDER}</geometry></collision></link>\n<joint"
-    path.write_text(corpus.URDF.replace("</link>\n<joint", collision))
-    status, _, err = call(capsys, "masses", path, f"--density={density}")
-    assert status == 1
-    assert "number above 0 to 100000 kg/m^3" in " ".join(err.split())
-
-
 def test_a_mass_of_no_body_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "arm.xml"
     path.write_text(

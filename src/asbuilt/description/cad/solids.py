@@ -73,7 +73,9 @@ def read_solids(
         link, pose = poses.get(name, (ROOT, np.eye(4)))
         if link == ROOT:
             continue
-        solids = [_solid(element, name, link, pose, kind, searched) for kind in (prefer, other)]
+        solids = [
+            _solid(element, name, link, pose, kind, searched, source) for kind in (prefer, other)
+        ]
         usable = [each for each in solids if each is not None]
         if usable:
             best = min(usable, key=lambda each: (bool(each.missing), not each.closed))
@@ -95,6 +97,7 @@ def _solid(
     pose: Array,
     kind: GeometryKind,
     folders: Sequence[Path],
+    source: str,
 ) -> LinkSolid | None:
     """Return the sum of all bodies of a kind, or None if there are none."""
     bodies, missing, doubts = list[MeshSolid](), list[str](), list[str]()
@@ -102,7 +105,7 @@ def _solid(
         geometry = body.find("geometry")
         if geometry is None or not len(geometry):
             continue
-        place = f"link {name!r}, {kind}"
+        place = f"{source}, link {name!r}, {kind}"
         try:
             solid = _body(geometry[0], place, folders)
         except DescriptionError as error:
