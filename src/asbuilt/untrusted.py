@@ -134,6 +134,18 @@ def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = T
         raise kind(f"{what} {path} cannot be read: {reason(problem)}", file=str(path)) from None
 
 
+@contextmanager
+def file_named(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Let every error name the file whose content is at fault."""
+    try:
+        yield
+    except AsbuiltError as problem:
+        if os.fspath(path) not in problem.message:
+            problem.message = f"{path}: {problem.message}"
+            problem.args = (problem.message,)
+        raise
+
+
 def read_text(path: Path, what: str, kind: type[AsbuiltError], limit: float = TEXT_LIMIT) -> str:
     """Return the text of a regular file in UTF-8, with or without a byte order mark.
 

@@ -10,7 +10,6 @@ import io
 import json
 import math
 import os
-import re
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 from asbuilt.cli.answers import cure_text, screen_of, wrapped
 from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
-from asbuilt.errors import AsbuiltError, UsageError
+from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
 from asbuilt.untrusted import inputs_kept, reason, shown_path, xacro_trusted
 
@@ -35,8 +34,6 @@ FULL_DISK = "asbuilt: the output cannot be written: No space left on device; fre
 
 LONGEST_MESSAGE = 3000
 """Characters of an error, which may quote names from a file."""
-LONG_WORD = r"\S{200,}"
-"""What no robot, file or joint is called; an error quotes its beginning."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
@@ -305,7 +302,7 @@ def _fail(
     given: Sequence[str], kind: str, message: str, hint: str, values: dict[str, Any], status: int
 ) -> int:
     """Report an error: one document on stdout with --json, else a message on stderr."""
-    message = re.sub(LONG_WORD, lambda word: shown_path(word[0]), message)
+    message = without_long_words(message)
     if len(message) > LONGEST_MESSAGE:
         message = message[:LONGEST_MESSAGE] + " ..."
     if "--json" in given:

@@ -14,7 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 from asbuilt.isolation import isolated_command, isolated_environment
-from asbuilt.untrusted import is_xacro_trusted, read_bytes, shortened
+from asbuilt.untrusted import file_named, is_xacro_trusted, read_bytes, shortened
 
 LARGEST = 20_000_000
 """Bytes of a file, and of the URDF that it becomes."""
@@ -69,13 +69,8 @@ def read_xacro(path: str | Path) -> RobotModel:
             ),
             file=str(path),
         )
-    try:
+    with file_named(path):
         return replace(read_urdf(done.stdout), source=str(path))
-    except DescriptionError as problem:
-        said = problem.message.removeprefix("the description: ")
-        raise DescriptionError(
-            f"{path}: when expanded, {said}", cure=problem.cure, **problem.fields
-        ) from None
 
 
 FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))
