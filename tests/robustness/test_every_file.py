@@ -33,7 +33,6 @@ from asbuilt.workflow.result_files import read_result
 from asbuilt.workflow.study import identify
 from asbuilt.workflow.watching.threshold_files import read_thresholds, thresholds_text
 from asbuilt.workflow.watching.watch import watch
-from asbuilt.writers.reports.study_files import write_result
 from fleet_logs import MODEL, recording
 from robustness import corpus
 
