@@ -151,7 +151,8 @@ def _spread(deviations: Array, noise: Array) -> Array:
     scale = np.sqrt(np.where(np.diag(S) > 0.0, np.diag(S), 1.0))
     values, axes = np.linalg.eigh(T / np.outer(scale, scale))
     least = np.sqrt(2.0 / (m - 1))
-    return (axes * np.maximum(values, least)) @ axes.T * np.outer(scale, scale)
+    T = (axes * np.maximum(values, least)) @ axes.T * np.outer(scale, scale)
+    return np.asarray(T, dtype=np.float64)
 
 
 def _mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
