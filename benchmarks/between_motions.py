@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from asbuilt.validation.generalisation.effect_bias import with_effects
+from asbuilt.validation.generalisation.missing_effects import confirmed_effects
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
@@ -24,8 +26,6 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import fit_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.generalisation.effect_bias import with_effects
-from asbuilt.validation.generalisation.missing_effects import confirmed_effects
 from drive_terms import SHARED
 from other_motions import ROBOTS
 

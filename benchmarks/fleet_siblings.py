@@ -31,7 +31,12 @@ from asbuilt.identification.information.square_root_information import (
     accumulate,
 )
 from asbuilt.identification.result.design_values import design_values
-from asbuilt.workflow.fleet.siblings import estimate_with_siblings, prior_of
+from asbuilt.workflow.fleet.siblings import (
+    SiblingPrior,
+    estimate_with_siblings,
+    posterior_uncertainty,
+    prior_of,
+)
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 RATE, NOISE, SHORT, LONG = 50.0, 0.02, 10.0, 60.0
@@ -104,6 +109,17 @@ def error(kind: VirtualKind, beta: Array, chi: Array, seed: int) -> float:
     return float(np.linalg.norm(error) / np.linalg.norm(W @ chi))
 
 
+def scores_of(
+    kind: VirtualKind, information: SquareRootInformation, prior: SiblingPrior, chi: Array
+) -> list[float]:
+    """Return the errors of all parameters in their standard errors; none if it is unlike."""
+    found, _ = estimate_with_siblings("new", information, prior)
+    if found is None:
+        return []
+    covariance = posterior_uncertainty(information, found, prior).covariance
+    return list((found.beta - kind.base.values(chi)) / np.sqrt(np.diag(covariance)))
+
+
 def study(name: str, n_siblings: int, n_new: int) -> dict[str, object]:
     """Return median errors of new robots of a type."""
     kind = VirtualKind(name)
@@ -115,7 +131,7 @@ def study(name: str, n_siblings: int, n_new: int) -> dict[str, object]:
         key: []
         for key in ("siblings 10 s", "wls 10 s", "consistent 10 s", "wls 60 s", "consistent 60 s")
     }
-    refused = 0
+    refused, scores = 0, {SHORT: list[float](), LONG: list[float]()}
     for i in range(n_new):
         chi = kind.drawn(kind.type)
         for seconds in (SHORT, LONG):
@@ -130,6 +146,7 @@ def study(name: str, n_siblings: int, n_new: int) -> dict[str, object]:
                 refused += found is None
                 beta = fit.beta if found is None else found.beta
                 errors["siblings 10 s"].append(error(kind, beta, chi, 5000 + i))
+            scores[seconds] += scores_of(kind, information, prior, chi)
     odd = 0
     for i in range(n_new):
         chi = kind.drawn(kind.type)
@@ -141,6 +158,11 @@ def study(name: str, n_siblings: int, n_new: int) -> dict[str, object]:
         )
     return {
         "type": name,
+        "coverage_percent": {
+            f"{seconds:.0f} s": round(100 * float(np.mean(np.abs(each) < 1.96)), 1)
+            for seconds, each in scores.items()
+        },
+        "worst_score": round(float(np.max(np.abs([*scores[SHORT], *scores[LONG]]))), 1),
         "errors_percent": {key: round(100 * float(np.median(e)), 3) for key, e in errors.items()},
         "refused": f"{refused} of {n_new}",
         "with_a_tool_named": f"{odd} of {n_new}",

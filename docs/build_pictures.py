@@ -49,7 +49,7 @@ def saved(figure: plt.Figure, path: Path) -> None:
 
 def run(folder: Path, line: str) -> None:
     """Run a command as a user types it."""
-    command = [sys.executable, "-m", "asbuilt.cli.app", *line.split()]
+    command = [sys.executable, "-m", "asbuilt", *line.split()]
     environment = os.environ | {"COLUMNS": "80"}
     subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL, env=environment)
 
@@ -172,7 +172,7 @@ def error_figure(result: asbuilt.IdentificationResult, truth: dict) -> None:
 def identifiability_figure() -> None:
     """Draw which standard parameters of an arm are identifiable."""
     done = subprocess.run(
-        [sys.executable, "-m", "asbuilt.cli.app", "base", "ur10e", "--json"],
+        [sys.executable, "-m", "asbuilt", "base", "ur10e", "--json"],
         check=True,
         capture_output=True,
         text=True,

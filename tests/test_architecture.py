@@ -245,8 +245,8 @@ REFUSED = (
 
 def test_bad_input_is_refused_before_anything_heavy_is_loaded(tmp_path: Path) -> None:
     """All commands run in one process; the first that loads a package is the one that is named."""
-    for name in ("LOG", "LOG2", "LOG3"):
-        (tmp_path / f"{name}.csv").write_text("t,q_1,tau_1\n0,1,2\n0.1,x,2\n")
+    for k, name in enumerate(("LOG", "LOG2", "LOG3")):
+        (tmp_path / f"{name}.csv").write_text(f"t,q_1,tau_1\n0,1,{k}\n0.1,x,2\n")
     code = (
         "import json, sys\nfrom asbuilt.cli.app import main\nfor line in sys.argv[1:]:\n"
         "    try:\n        status = main(line.split())\n"

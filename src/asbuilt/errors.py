@@ -7,6 +7,9 @@ from typing import Any
 
 from asbuilt.findings import Cure
 
+LONG_WORD = re.compile(r"\S{300,}")
+"""Such as a name of 5000 letters from a damaged file, which an error quotes."""
+
 
 class AsbuiltError(Exception):
     """Any error that asbuilt raises on purpose.
@@ -23,6 +26,7 @@ class AsbuiltError(Exception):
     """
 
     def __init__(self, message: str = "", *, cure: Cure | None = None, **fields: Any) -> None:
+        message = without_long_words(message)
         super().__init__(message)
         self.message = message
         self.cure = cure
@@ -39,6 +43,11 @@ class AsbuiltError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (_restored, (type(self), self.message, self.cure, self.fields))
+
+
+def without_long_words(text: str) -> str:
+    """Return a message with the beginning of each word that no robot, file or joint is called."""
+    return LONG_WORD.sub(lambda word: f"{word[0][:60]}...", text)
 
 
 def _restored(kind: type[AsbuiltError], message: str, cure: Any, fields: Any) -> AsbuiltError:

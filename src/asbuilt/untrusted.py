@@ -134,6 +134,18 @@ def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = T
         raise kind(f"{what} {path} cannot be read: {reason(problem)}", file=str(path)) from None
 
 
+@contextmanager
+def file_named(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Let every error name the file whose content is at fault."""
+    try:
+        yield
+    except AsbuiltError as problem:
+        if os.fspath(path) not in problem.message:
+            problem.message = f"{path}: {problem.message}"
+            problem.args = (problem.message,)
+        raise
+
+
 def read_text(path: Path, what: str, kind: type[AsbuiltError], limit: float = TEXT_LIMIT) -> str:
     """Return the text of a regular file in UTF-8, with or without a byte order mark.
 
@@ -220,8 +232,13 @@ def depth(content: Any) -> int:
 def reason(problem: BaseException, most: int = 200) -> str:
     """Return why something failed in one short line, without the path, which the caller gives."""
     said = getattr(problem, "strerror", None) or str(problem).strip()
-    said = " ".join(str(said).split()) or type(problem).__name__
-    return said if len(said) <= most else f"{said[:most]}..."
+    return shortened(str(said), most) or type(problem).__name__
+
+
+def shortened(text: str, most: int = 200) -> str:
+    """Return a text on one line, cut if it is very long."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else f"{line[:most]}..."
 
 
 def shown_path(path: Path | str) -> str:

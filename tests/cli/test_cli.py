@@ -261,7 +261,7 @@ def test_json_is_strict_and_alone_on_stdout(recorded: dict[str, Path]) -> None:
     command = [
         sys.executable,
         "-m",
-        "asbuilt.cli.app",
+        "asbuilt",
         "identify",
         "scara",
         str(recorded["scara train"]),

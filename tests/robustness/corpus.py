@@ -135,11 +135,14 @@ gravity = [0, 0, -9.81]
 name = "link_1"
 mass = 2.0
 com = [0.1, 0, 0]
-inertia_com = {Ixx = 0.01, Iyy = 0.02, Izz = 0.02}
+inertia_about_com = {Ixx = 0.01, Iyy = 0.02, Izz = 0.02}
 axis = [0, 0, 1]
+origin = {}
 [[links]]
 name = "link_2"
 mass = 1.0
+com = [0.1, 0, 0]
+inertia_about_com = {Ixx = 0.01, Iyy = 0.02, Izz = 0.02}
 axis = [0, 1, 0]
 origin = {xyz = [0.3, 0, 0], rpy = [0, 0, 0]}
 limits = {lower = -90, upper = 90, velocity = 100, torque = 50}

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and /dev/full")
-ASBUILT = (sys.executable, "-m", "asbuilt.cli.app")
+ASBUILT = (sys.executable, "-m", "asbuilt")
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -29,17 +29,37 @@ def test_ascii_output() -> None:
 
 
 @LINUX
-@pytest.mark.parametrize("where", [">/dev/full", ">&-", ">&- 2>&-", "| head -c 1"])
-def test_output_that_goes_nowhere(where: str) -> None:
-    command = f"{sys.executable} -m asbuilt.cli.app robots {where}"
+@pytest.mark.parametrize(
+    "where", [">/dev/full", ">&-", "2>&-", ">&- 2>&-", "0<&- >&- 2>&-", "--json >&-", "| head -c 1"]
+)
+@pytest.mark.parametrize("words", ["show two-link", "-h"])
+def test_output_that_goes_nowhere(words: str, where: str) -> None:
+    if "json" in where and "show" not in words:
+        pytest.skip("help is no document")
+    command = f"{sys.executable} -m asbuilt {words} {where}"
     told = subprocess.run(
         ["bash", "-c", command], env=environment(), capture_output=True, check=False
     )
     assert b"Traceback" not in told.stderr
     assert b"Exception ignored" not in told.stderr
+    assert b"unexpected" not in told.stderr
+    if "&-" in where:
+        assert told.returncode == 0, told.stderr
     if "full" in where:
         assert told.returncode == 1
         assert b"No space left" in told.stderr
+
+
+@LINUX
+@pytest.mark.parametrize("where", ["2>&-", "2>/dev/full", ">&- 2>&-", "--json >&-"])
+def test_errors_that_go_nowhere(where: str) -> None:
+    command = f"{sys.executable} -m asbuilt show nothing.urdf {where}"
+    told = subprocess.run(
+        ["bash", "-c", command], env=environment(), capture_output=True, check=False
+    )
+    assert told.returncode == 1
+    assert b"Traceback" not in told.stdout + told.stderr
+    assert b"unexpected" not in told.stdout + told.stderr
 
 
 @LINUX

@@ -1,5 +1,6 @@
 """The command line: one file per group of commands, the demonstration and the 2015 paper."""
 
+import os
 import signal
 import sys
 
@@ -14,6 +15,7 @@ def run() -> None:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+    _open_closed_streams()
     from asbuilt.isolation import leave_current_folder
 
     leave_current_folder()
@@ -22,3 +24,18 @@ def run() -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     main()
+
+
+def _open_closed_streams() -> None:
+    """Let a closed stdin, stdout or stderr (`>&-`) lead nowhere.
+
+    Else the next file that is opened has its number, and is written to in its place.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+        if getattr(sys, name) is None:
+            stream = os.fdopen(number, "r" if name == "stdin" else "w", encoding="utf-8")
+            setattr(sys, name, stream)

@@ -23,10 +23,9 @@ from typer.core import TyperCommand, TyperGroup
 from asbuilt.cli.answers import cure_text, screen_of, wrapped
 from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
-from asbuilt.errors import AsbuiltError, UsageError
+from asbuilt.errors import AsbuiltError, UsageError, without_long_words
 from asbuilt.findings import Cure
-from asbuilt.isolation import leave_current_folder
-from asbuilt.untrusted import inputs_kept, xacro_trusted
+from asbuilt.untrusted import inputs_kept, reason, shown_path, xacro_trusted
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
@@ -241,6 +240,9 @@ def _status(given: list[str]) -> int:
         if isinstance(problem, OSError) and problem.errno == errno.ENOSPC:
             _say(FULL_DISK)
             return 1
+        if isinstance(problem, OSError) and problem.filename is not None:
+            message = f"{shown_path(str(problem.filename))}: {reason(problem)}"
+            return _fail(given, type(problem).__name__, message, "", {}, 1)
         if os.environ.get("ASBUILT_TRACEBACK"):
             traceback.print_exc()
         message = f"unexpected {type(problem).__name__}: {problem}"
@@ -278,6 +280,7 @@ def _fail(
     given: Sequence[str], kind: str, message: str, hint: str, values: dict[str, Any], status: int
 ) -> int:
     """Report an error: one document on stdout with --json, else a message on stderr."""
+    message = without_long_words(message)
     if len(message) > LONGEST_MESSAGE:
         message = message[:LONGEST_MESSAGE] + " ..."
     if "--json" in given:
@@ -293,8 +296,3 @@ def _say(text: str) -> None:
     """Print on stderr, which may be closed."""
     with contextlib.suppress(OSError, ValueError):
         print(text, file=sys.stderr, flush=True)
-
-
-if __name__ == "__main__":
-    leave_current_folder()
-    main()

@@ -11,7 +11,7 @@ from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.description.robots.published import published_description
 from asbuilt.errors import DescriptionError
-from asbuilt.untrusted import read_bytes, reason, xacro_trusted
+from asbuilt.untrusted import file_named, read_bytes, reason, xacro_trusted
 
 
 def load_robot(
@@ -92,4 +92,5 @@ def _read(path: Path, fixed_base: bool) -> RobotModel:
             file=str(path),
         )
     read = found.read_fixed if fixed_base and found.read_fixed is not None else found.read
-    return read(path)
+    with file_named(path):
+        return read(path)

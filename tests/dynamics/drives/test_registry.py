@@ -82,7 +82,7 @@ def site(tmp_path: Path) -> Path:
 
 def run(site: Path, *arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-m", "asbuilt.cli.app", *arguments],
+        [sys.executable, "-m", "asbuilt", *arguments],
         capture_output=True,
         text=True,
         cwd=site.parent,

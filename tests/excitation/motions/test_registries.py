@@ -95,7 +95,7 @@ def test_a_family_and_a_format_from_outside_run_from_the_command_line(
     arguments = ["excite", "two-link", "--parametrisation", "mirrored", "--harmonics", "5"]
     arguments += ["--duration", "6", "--starts", "1", "--time-limit", "20", "--program", "json"]
     run = subprocess.run(
-        [sys.executable, "-m", "asbuilt.cli.app", *arguments, "--no-report", "--json"],
+        [sys.executable, "-m", "asbuilt", *arguments, "--no-report", "--json"],
         capture_output=True,
         text=True,
         cwd=tmp_path,

@@ -132,7 +132,7 @@ def test_a_format_of_another_distribution_is_checked_from_the_command_line(tmp_p
     log.write_text("\n".join(json.dumps(row) for row in frame().to_dicts()), encoding="utf-8")
 
     def check(path: str) -> subprocess.CompletedProcess[str]:
-        command = ("-m", "asbuilt.cli.app", "check", "two-link", str(log), "--json")
+        command = ("-m", "asbuilt", "check", "two-link", str(log), "--json")
         return subprocess.run(
             [sys.executable, *command],
             env=os.environ | {"PYTHONPATH": os.pathsep.join([path, *sys.path])},

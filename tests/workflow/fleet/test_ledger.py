@@ -104,7 +104,7 @@ def test_the_same_bytes_for_any_number_of_workers_and_any_order(
 def test_the_same_bytes_after_a_crash(filled: Path, logs: list[Path], tmp_path: Path) -> None:
     """The command is killed as soon as the first entry is there."""
     ledger = tmp_path / "ledger"
-    command = [sys.executable, "-m", "asbuilt.cli.app", "fleet", "add", str(ledger), "two-link"]
+    command = [sys.executable, "-m", "asbuilt", "fleet", "add", str(ledger), "two-link"]
     process = subprocess.Popen(
         [*command, *map(str, logs), "--id", "R1", "--workers", "0"], start_new_session=True
     )

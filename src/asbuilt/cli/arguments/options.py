@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from filecmp import cmp
 from glob import escape, glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -340,14 +342,28 @@ def recordings_of(
 
 
 def distinct_logs(*groups: Sequence[Path] | None) -> None:
-    """Raise `UsageError` where a log is given twice, in one place or in two.
+    """Raise `UsageError` where a log is given twice, in one place or in two, or as a copy.
 
     Counted twice it seems surer than it is, and it judges itself.
     """
-    given = [path.resolve() for group in groups for path in group or ()]
-    repeated = next((path for path in given if given.count(path) > 1), None)
-    if repeated is not None:
-        raise UsageError(f"{repeated} is given twice; give every log once")
+    seen: list[Path] = []
+    for path in (path for group in groups for path in group or ()):
+        other = next((each for each in seen if _is_same_log(path, each)), None)
+        if other is not None:
+            what = "given twice" if os.path.realpath(path) == os.path.realpath(other) else (
+                f"a copy of {other}"
+            )  # fmt: skip
+            raise UsageError(f"{path} is {what}; give every log once")
+        seen.append(path)
+
+
+def _is_same_log(path: Path, other: Path) -> bool:
+    """Return whether two paths lead to one file, or to two of the same bytes."""
+    if os.path.realpath(path) == os.path.realpath(other):
+        return True
+    if not (path.is_file() and other.is_file()):
+        return False
+    return path.stat().st_size == other.stat().st_size and cmp(path, other, shallow=False)
 
 
 def refuse_idle(why: str, given: Mapping[str, bool]) -> None:

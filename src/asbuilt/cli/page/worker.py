@@ -18,7 +18,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from asbuilt.isolation import SAFE_PATH, isolated_command
+from asbuilt.isolation import isolated_command
 
 PROGRAM = "from asbuilt.cli.page.worker import serve; serve()"
 LONGEST_TEXT = 2000

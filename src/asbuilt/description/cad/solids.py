@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -64,7 +65,7 @@ def read_solids(
         )
     poses = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
     poses |= {frame.name: (frame.link, frame.placement) for frame in model.frames}
-    searched = [*folders, path.parent, *path.resolve().parent.parents]
+    searched = [*folders, path.parent, *Path(os.path.realpath(path)).parent.parents]
     other: GeometryKind = "collision" if prefer == "visual" else "visual"
     found = []
     for element in root.findall("link"):
@@ -72,7 +73,9 @@ def read_solids(
         link, pose = poses.get(name, (ROOT, np.eye(4)))
         if link == ROOT:
             continue
-        solids = [_solid(element, name, link, pose, kind, searched) for kind in (prefer, other)]
+        solids = [
+            _solid(element, name, link, pose, kind, searched, source) for kind in (prefer, other)
+        ]
         usable = [each for each in solids if each is not None]
         if usable:
             best = min(usable, key=lambda each: (bool(each.missing), not each.closed))
@@ -94,6 +97,7 @@ def _solid(
     pose: Array,
     kind: GeometryKind,
     folders: Sequence[Path],
+    source: str,
 ) -> LinkSolid | None:
     """Return the sum of all bodies of a kind, or None if there are none."""
     bodies, missing, doubts = list[MeshSolid](), list[str](), list[str]()
@@ -101,10 +105,12 @@ def _solid(
         geometry = body.find("geometry")
         if geometry is None or not len(geometry):
             continue
-        place = f"link {name!r}, {kind}"
+        place = f"{source}, link {name!r}, {kind}"
         try:
             solid = _body(geometry[0], place, folders)
         except DescriptionError as error:
+            if geometry[0].tag != "mesh":
+                raise  # a number that makes no sense, not a file to look for elsewhere
             missing.append(geometry[0].get("filename", geometry[0].tag))
             doubts.append(str(error))
             continue

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.finite import finite_number
 from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
 from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
@@ -311,9 +312,8 @@ class _Tree:
             )
         elif m.body_mass[body] > 0.0:
             frame = placement(rotation_from_quaternion(m.body_iquat[body]), m.body_ipos[body])
-            inertia = LinkInertia.from_com(
-                float(m.body_mass[body]), np.zeros(3), np.diag(m.body_inertia[body])
-            )
+            mass = finite_number(f"{m.body_mass[body]:.17g}", f"body {name!r}: mass")
+            inertia = LinkInertia.from_com(mass, np.zeros(3), np.diag(m.body_inertia[body]))
             self.parts[carrier].append((name, inertia.moved(frame).moved(pose)))
 
     def joint(self, index: int, body: str, parent: int, pose: Array) -> Joint:

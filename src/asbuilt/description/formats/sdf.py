@@ -32,6 +32,8 @@ KINDS = ("revolute", "continuous", "prismatic", "fixed")
 MODEL = "__model__"
 """Name that SDF gives to the frame of a model."""
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+MOST_NAMED = 8
+"""Frames of a circle that an error names."""
 UNLIMITED = 1e15
 """Limits from here on are SDF's way to state none."""
 
@@ -44,20 +46,27 @@ class _Frames:
     stated: dict[str, tuple[str, Array]] = field(default_factory=dict)
     found: dict[str, Array] = field(default_factory=lambda: {MODEL: np.eye(4)})
 
-    def pose(self, name: str, asked_by: tuple[str, ...] = ()) -> Array:
+    def pose(self, name: str) -> Array:
         """Return the pose (4, 4) of a frame in the frame of the model."""
-        if name in asked_by:
-            raise DescriptionError(
-                f"{self.source}: the poses of {', '.join(asked_by)} refer to each other in a circle"
-            )
-        if name not in self.found:
-            if name not in self.stated:
+        chain: dict[str, None] = {}  # in order, from the frame to one whose pose is found
+        origin = name
+        while origin not in self.found:
+            if origin in chain:
+                circle = [*chain][[*chain].index(origin) :]
+                raise DescriptionError(
+                    f"{self.source}: the poses of {', '.join(circle[:MOST_NAMED])}"
+                    f"{' ...' * (len(circle) > MOST_NAMED)} refer to each other in a circle"
+                )
+            if origin not in self.stated:
                 raise DescriptionError(
                     f"{self.source}: there is no link, joint or frame"
-                    f" {name!r}{close_match(name, self.stated)}"
+                    f" {origin!r}{close_match(origin, self.stated)}"
                 )
-            origin, pose = self.stated[name]
-            self.found[name] = composed(self.pose(origin, (*asked_by, name)), pose)
+            chain[origin] = None
+            origin = self.stated[origin][0]
+        for each in reversed(chain):
+            before, pose = self.stated[each]
+            self.found[each] = composed(self.found[before], pose)
         return self.found[name]
 
 

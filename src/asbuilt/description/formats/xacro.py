@@ -14,7 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 from asbuilt.isolation import isolated_command, isolated_environment
-from asbuilt.untrusted import is_xacro_trusted, read_bytes
+from asbuilt.untrusted import file_named, is_xacro_trusted, read_bytes, shortened
 
 LARGEST = 20_000_000
 """Bytes of a file, and of the URDF that it becomes."""
@@ -59,9 +59,9 @@ def read_xacro(path: str | Path) -> RobotModel:
             f"{path}: xacro takes longer than {LONGEST:.0f} s to expand it", file=str(path)
         ) from None
     if done.returncode:
-        reason = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
+        said = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
         raise DescriptionError(
-            f"{path}: xacro cannot expand it ({reason})",
+            f"{path}: xacro cannot expand it ({shortened(said)})",
             cure=Cure(
                 "expand it where its packages are installed, and give the URDF"
                 + ("" if trusted else "; or let it run any Python, if you trust whom it is from"),
@@ -69,7 +69,8 @@ def read_xacro(path: str | Path) -> RobotModel:
             ),
             file=str(path),
         )
-    return replace(read_urdf(done.stdout), source=str(path))
+    with file_named(path):
+        return replace(read_urdf(done.stdout), source=str(path))
 
 
 FORMATS.register("xacro", DescriptionFormat("xacro", (".xacro",), read_xacro))

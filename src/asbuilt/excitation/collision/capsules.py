@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -270,7 +271,7 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
         return None
     name = shape.get("filename", "")
     relative = name.partition("://")[2].partition("/")[2] if "://" in name else name
-    candidates = [parent / relative for parent in (folder, *folder.resolve().parents)]
+    candidates = [parent / relative for parent in (folder, *Path(os.path.realpath(folder)).parents)]
     file = next((candidate for candidate in candidates if candidate.is_file()), None)
     if file is None:
         return None

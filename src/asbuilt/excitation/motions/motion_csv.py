@@ -20,7 +20,7 @@ from asbuilt.errors import MotionError, RecordingError
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.spline import SplineMotion
-from asbuilt.untrusted import TABLE_LIMIT, read_bytes, reason
+from asbuilt.untrusted import TABLE_LIMIT, file_named, read_bytes, reason
 
 PREFIXES = ("q_", "qd_", "qdd_")
 """Column names are a prefix and a joint name."""
@@ -95,15 +95,16 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
             f" line {row}"
         )
     q, *rates = (_numbers(table, [prefix + label for label in labels], source) for prefix in given)
-    if len(rates) < 2:
-        if t.size < 6:
-            raise MotionError(
-                f"{source} has {t.size} positions without qd_ and qdd_ columns; give these or at"
-                " least 6 positions"
-            )
-        spline = SplineMotion.through(q, t, ends="natural")
-        rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
-    return SampledMotion.of(t, q, rates[0], rates[1], names)
+    if len(rates) < 2 and t.size < 6:
+        raise MotionError(
+            f"{source} has {t.size} positions without qd_ and qdd_ columns; give these or at"
+            " least 6 positions"
+        )
+    with file_named(source):
+        if len(rates) < 2:
+            spline = SplineMotion.through(q, t, ends="natural")
+            rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
+        return SampledMotion.of(t, q, rates[0], rates[1], names)
 
 
 def _labels_of_joints(labels: Sequence[str], model: RobotModel, source: Path) -> tuple[str, ...]:

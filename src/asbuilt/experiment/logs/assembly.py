@@ -269,4 +269,5 @@ def _stacked(table: LogTable, names: tuple[str, ...], layout: Layout) -> Array:
             np.multiply(table.columns[name], factor, out=out[:, k])
         if layout.offsets.get(name):
             out[:, k] += layout.offsets[name]
+    out.setflags(write=False)  # a recording copies what others could change
     return out

@@ -30,8 +30,8 @@ class Extremes:
         finite = np.isfinite(values)
         return Extremes(
             self.count + finite.sum(axis=0),
-            np.minimum(self.low, np.where(finite, values, np.inf).min(axis=0, initial=np.inf)),
-            np.maximum(self.high, np.where(finite, values, -np.inf).max(axis=0, initial=-np.inf)),
+            np.minimum(self.low, values.min(axis=0, where=finite, initial=np.inf)),
+            np.maximum(self.high, values.max(axis=0, where=finite, initial=-np.inf)),
         )
 
 

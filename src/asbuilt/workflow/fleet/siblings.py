@@ -13,6 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.errors.block_scatter import widening
 from asbuilt.identification.errors.error_basis import ErrorBasis
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -40,8 +41,8 @@ class SiblingRules:
     """Probability of a difference from the siblings below which their prior is not used."""
     smallest: float = 1e-10
     """Scaled information, relative to the largest, below which a robot's data have none."""
-    least_spread: float = 0.05
-    """Least variance between robots, in that of their estimates."""
+    passes: int = 3
+    """Turns of mean and spread; the second changes the mean by a hundredth of the spread."""
     blocks: int = 24
     """Blocks to which the logs of a sibling are merged."""
 
@@ -58,9 +59,9 @@ class SiblingPrior:
     robot_ids
         The siblings.
     mean
-        Physically consistent base parameters of all their data together (p,).
+        Their physically consistent mean (p,).
     covariance
-        Covariance between robots T (p, p), with the error of the mean.
+        Covariance between robots T (p, p), with the error of the mean and of itself.
     weights
         Factors of the rows of each joint (n,), median of the siblings.
     design_effect
@@ -115,35 +116,76 @@ def prior_of(
 ) -> SiblingPrior:
     """Return mean and spread of robots of a type.
 
-    Robot i has `beta_i ~ N(mu, T)` and an estimate with covariance C_i. mu is the physically
-    consistent fit to all data. `T + mean C_i` is the covariance of the estimates about mu (method
-    of moments: DerSimonian & Laird, Controlled Clinical Trials 7, 1986), shrunk to its diagonal by
-    `p / (p + m)` for m robots (Ledoit & Wolf, J. Multivariate Analysis 88, 2004, with a fixed
-    intensity), not negative.
+    Robot i has `beta_i ~ N(mu, T)` and an estimate b_i with covariance C_i, so that
+    `b_i ~ N(mu, T + C_i)`. mu is the physically consistent fit to the b_i with these covariances
+    (random effects: DerSimonian & Laird, Controlled Clinical Trials 7, 1986); the fit to all data
+    together is none, since what differs between robots would leak into what does not. T follows
+    from the b_i about mu as in `_spread`. A new robot lies in a Student distribution about mu: T
+    is widened by its quantile, and by the error of mu.
     """
     toward = np.nan_to_num(design_values(model, base), nan=0.0)
     parts = list(robots.values())
-    together = parts[0].merge(*parts[1:])
-    data = EstimationData(model, together, None, toward, "toward_prior")
-    mu = methods.find("consistent").estimate(data).beta
-    fits = [fit_least_squares(each, weights="joint", prior=mu) for each in parts]
-    p, m = len(mu), len(fits)
-    effects = [_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)]
-    effect = float(np.median(effects))
-    deviations = np.array([fit.beta for fit in fits]) - mu
-    S = deviations.T @ deviations / m
+    data = EstimationData(model, parts[0].merge(*parts[1:]), None, toward, "toward_prior")
+    pooled = methods.find("consistent").estimate(data)
+    fits = [fit_least_squares(each, weights="joint", prior=pooled.beta) for each in parts]
+    effect = float(
+        np.median([_design_effect(each, fit) for each, fit in zip(parts, fits, strict=True)])
+    )
     noise = effect * np.mean([fit.covariance for fit in fits], axis=0)
-    share = p / (p + m)
-    T = S - noise
-    T = (1.0 - share) * T + share * np.diag(np.diag(T))
-    scale = np.sqrt(np.where(np.diag(S) > 0.0, np.diag(S), 1.0))
-    values, axes = np.linalg.eigh(T / np.outer(scale, scale))
-    T = (axes * np.maximum(values, RULES.least_spread)) @ axes.T * np.outer(scale, scale)
-    T *= 1.0 + 1.0 / m
+    estimates, m = np.array([fit.beta for fit in fits]), len(fits)
+    rows = [each.stacked(fit.weights) / np.sqrt(effect)
+            for each, fit in zip(parts, fits, strict=True)]  # fmt: skip
+    mu = estimates.mean(axis=0)
+    for _ in range(RULES.passes):
+        mu = _mean(pooled, rows, _spread(estimates - mu, noise))
+    T = _spread(estimates - mu, noise)
+    T *= (1.0 + 1.0 / m) * float(widening(np.array(m - 1.0))) ** 2
     weights = np.median([fit.weights for fit in fits], axis=0)
     plain = SiblingPrior(tuple(robots), mu, T, weights, effect, 1.0)
     squares = [_distance(plain, each)[0] for each in parts]
     return SiblingPrior(tuple(robots), mu, T, weights, effect, max(1.0, float(np.mean(squares))))
+
+
+def _spread(deviations: Array, noise: Array) -> Array:
+    """Return the covariance between robots T (p, p) from estimates about their mean (m, p).
+
+    The covariance S of the estimates less that of their noise is shrunk to its diagonal by
+    `p / (p + m)` (Ledoit & Wolf, J. Multivariate Analysis 88, 2004, with a fixed intensity).
+    m robots tell a variance to `sqrt(2 / (m - 1))` of itself: T is at least that share of S in
+    every direction, since a smaller one cannot be told from none, and would be believed.
+    """
+    m, p = deviations.shape
+    S = deviations.T @ deviations / (m - 1)
+    share = p / (p + m)
+    T = (1.0 - share) * (S - noise) + share * np.diag(np.diag(S - noise))
+    scale = np.sqrt(np.where(np.diag(S) > 0.0, np.diag(S), 1.0))
+    values, axes = np.linalg.eigh(T / np.outer(scale, scale))
+    least = np.sqrt(2.0 / (m - 1))
+    T = (axes * np.maximum(values, least)) @ axes.T * np.outer(scale, scale)
+    return np.asarray(T, dtype=np.float64)
+
+
+def _mean(pooled: Estimate, rows: Sequence[Array], T: Array) -> Array:
+    """Return the physically consistent mean of robots with the spread T.
+
+    Each has the rows `[R z]` of its data, so that `A = R^T R` is the inverse of C_i, and the
+    inverse of `T + C_i` is `A - A (A + T^-1)^-1 A`, whatever its data leave undetermined.
+    """
+    inverse = np.linalg.inv(T)
+    K, k = np.zeros_like(T), np.zeros(len(T))
+    for each in rows:
+        A, a = each[:-1, :-1].T @ each[:-1, :-1], each[:-1, :-1].T @ each[:-1, -1]
+        kept = np.linalg.solve(A + inverse, inverse)  # what the spread leaves of the data
+        K += A @ kept
+        k += kept.T @ a
+    scale = 1.0 / np.sqrt(np.diag(T))
+    values, axes = np.linalg.eigh(K / np.outer(scale, scale))
+    root = np.sqrt(np.maximum(values, 0.0))
+    usable = values > RULES.smallest * values[-1]
+    R = (axes * root).T * scale
+    z = np.where(usable, axes.T @ (k / scale) / np.where(usable, root, 1.0), 0.0)
+    assert pooled.refit is not None  # the consistent fit is not linear in the torque
+    return pooled.refit(triangular_factor(np.column_stack([R, z])))
 
 
 def estimate_with_siblings(

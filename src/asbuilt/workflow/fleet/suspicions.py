@@ -12,7 +12,9 @@ import numpy as np
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.design_values import design_values
+from asbuilt.workflow.fleet.drift.sources import drive_places
 from asbuilt.workflow.fleet.ledger.entry import Entry
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
 
@@ -96,10 +98,13 @@ def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
 def misfit(entry: Entry, others: Sequence[Entry]) -> float:
     """Return the weighted RMS torque error of a log by the others' model, in what is expected.
 
-    The error by its own model grows by `d^T M d`, where d is the difference of the parameters and
-    M the log's information. One robot has `tr(M C)` of it on average, C the sum of the covariances
-    of both: little between long logs, much between short ones whose motions differ. It is
-    1.0 where one of them determines nothing.
+    Friction follows temperature and wear, so the others' model keeps the friction that the log
+    itself shows. The error by the log's own model then grows by `d^T M d`, where d is the
+    difference of the other parameters and M the information about them, friction unknown (a Schur
+    complement).
+    One robot has `tr(M C)` of it on average, C the sum of the covariances of both: little between
+    long logs, much between short ones whose motions differ. It is 1.0 where one of them determines
+    nothing.
     """
     settings, part = entry.settings, entry.whole
     prior = np.nan_to_num(design_values(settings.model, settings.base), nan=0.0)
@@ -109,9 +114,13 @@ def misfit(entry: Entry, others: Sequence[Entry]) -> float:
         theirs = fit_least_squares(together, weights="joint", prior=prior)
     except AsbuiltError:
         return 1.0
-    weights = own.weights**2
-    least = float(weights @ part.residual_energy(own.beta))
-    error = float(weights @ part.residual_energy(theirs.beta))
-    root = part.stacked(own.weights)[:, :-1]
-    expected = least + float(np.sum((root @ (own.covariance + theirs.covariance)) * root))
+    least = float(own.weights**2 @ part.residual_energy(own.beta))
+    friction = [place for joint in range(part.n_joints)
+                for place in drive_places(settings.base, joint).get("friction", [])]  # fmt: skip
+    rest = np.setdiff1d(np.arange(len(own.beta)), friction)
+    rows = part.stacked(own.weights)[:, :-1][:, [*friction, *rest]]
+    root = triangular_factor(rows)[len(friction) :, len(friction) :]
+    d, C = (theirs.beta - own.beta)[rest], (own.covariance + theirs.covariance)[np.ix_(rest, rest)]
+    error = least + float(np.sum((root @ d) ** 2))
+    expected = least + float(np.sum((root @ C) * root))
     return float(np.sqrt(error / expected)) if expected > 0.0 else 1.0

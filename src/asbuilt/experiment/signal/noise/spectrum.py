@@ -9,6 +9,9 @@ from scipy.signal import get_window
 
 from asbuilt.arrays import Array
 
+SAMPLES_AT_ONCE = 500_000
+"""Samples whose windows are transformed together: 4 MB, and six times that beside."""
+
 
 def power_density(
     x: Array, rate: float, length: int, *, window: str = "hann", centred: bool = True
@@ -28,9 +31,14 @@ def power_density(
     weights = get_window(window, length)
     parts = sliding_window_view(np.ascontiguousarray(x.T), length, axis=-1)
     parts = parts[:, :: length - length // 2]
-    if centred:
-        parts = parts - parts.mean(axis=-1, keepdims=True)
-    transform = fft.rfft(parts * weights, axis=-1)
-    power = np.mean(transform.real**2 + transform.imag**2, axis=1) / (rate * np.sum(weights**2))
+    power = np.zeros((x.shape[1], length // 2 + 1))
+    at_once = max(1, SAMPLES_AT_ONCE // (x.shape[1] * length))
+    for first in range(0, parts.shape[1], at_once):
+        some = parts[:, first : first + at_once]
+        if centred:
+            some = some - some.mean(axis=-1, keepdims=True)
+        transform = fft.rfft(some * weights, axis=-1)
+        power += np.sum(transform.real**2 + transform.imag**2, axis=1)
+    power /= parts.shape[1] * rate * np.sum(weights**2)
     power[:, 1 : (length + 1) // 2] *= 2.0
     return np.asarray(power.T, dtype=np.float64)

@@ -69,22 +69,22 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
     places = np.flatnonzero(not_repeated)
     if places.size < FEWEST:
         return []
-    steps = np.diff(tau if places.size == len(tau) else tau[places], axis=0)
-    sizes = np.abs(steps)
-    prominence = np.minimum(sizes[1:], sizes[:-1])
-    prominence *= steps[1:] * steps[:-1] < 0.0
-    # Samples from which about quantiles are taken.
     some = slice(None, None, max(1, places.size // 20_000))
-    usual = np.quantile(prominence[some], RULES.usual, axis=0)
-    low, high = np.quantile(tau[places[some]], [0.005, 0.995], axis=0)
-    least = np.maximum(RULES.times * usual, RULES.share * (high - low))
     found = []
-    for k in range(tau.shape[1]):
-        rows = np.flatnonzero(prominence[:, k] > least[k])
-        above = prominence[rows, k]
-        lone = np.abs(steps[rows + 1, k] + steps[rows, k]) < RULES.alike * above
+    for k in range(tau.shape[1]):  # one by one: a long log has no room for all of them beside it
+        x = tau[:, k] if places.size == len(tau) else tau[places, k]
+        steps = np.diff(x)
+        sizes = np.abs(steps)
+        prominence = np.minimum(sizes[1:], sizes[:-1])
+        prominence *= steps[1:] * steps[:-1] < 0.0
+        low, high = np.quantile(x[some], [0.005, 0.995])
+        usual = np.quantile(prominence[some], RULES.usual)
+        least = max(RULES.times * usual, RULES.share * (high - low))
+        rows = np.flatnonzero(prominence > least)
+        above = prominence[rows]
+        lone = np.abs(steps[rows + 1] + steps[rows]) < RULES.alike * above
         beside = np.clip(rows[:, None] + BESIDE, 0, len(steps) - 1)
-        lone &= above > RULES.calm * np.max(sizes[beside, k], axis=1)
+        lone &= above > RULES.calm * np.max(sizes[beside], axis=1)
         if 0 < np.count_nonzero(lone) <= RULES.most * len(prominence):
             found.append(Spikes(k, places[rows[lone] + 1], above[lone]))
     return found

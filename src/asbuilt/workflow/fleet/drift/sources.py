@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.validation.attribution.causes import CAUSES
 from asbuilt.workflow.fleet.drift.columns import FleetColumns
 
@@ -41,19 +42,11 @@ class Source:
 def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
     """Return the sources of change of a robot type; without those that its columns lack."""
     n, base = columns.n_joints, columns.base
-    names = {name: i for i, name in enumerate(base.names)}
     found: list[Source] = []
     for k in range(n):
-        groups: dict[str, list[int]] = {}
-        for term in base.drive.terms:
-            cause = term.cause or "friction"
-            group = cause if cause in ("offset", "armature") else "friction"
-            groups.setdefault(group, []).extend(
-                names[f"{symbol}{k + 1}"] for symbol in term.symbols if f"{symbol}{k + 1}" in names
-            )
         found += [
             Source(cause, k, _units(columns.size, places))
-            for cause, places in groups.items()
+            for cause, places in drive_places(base, k).items()
             if places
         ]
     found += [Source("gain", k, _units(columns.size, [columns.gains.start + k])) for k in range(n)]
@@ -67,6 +60,21 @@ def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
     links = [i for i, column in enumerate(base.columns) if column < 10 * base.n_links]
     found.append(Source("links", None, _units(columns.size, links)))
     return tuple(found)
+
+
+def drive_places(base: BaseParameters, joint: int) -> dict[str, list[int]]:
+    """Return where friction, offset and armature of a joint are among the base parameters."""
+    names = {name: i for i, name in enumerate(base.names)}
+    groups: dict[str, list[int]] = {}
+    for term in base.drive.terms:
+        cause = term.cause or "friction"
+        group = cause if cause in ("offset", "armature") else "friction"
+        groups.setdefault(group, []).extend(
+            names[f"{symbol}{joint + 1}"]
+            for symbol in term.symbols
+            if f"{symbol}{joint + 1}" in names
+        )
+    return groups
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,9 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
-from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
 from asbuilt.findings import Cure
-from asbuilt.untrusted import check_regular, reason
+from asbuilt.untrusted import check_regular, parsed_json, reason, shortened
 
 INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"
@@ -45,12 +44,13 @@ def read_lerobot(path: Path) -> LogTable:
         raise RecordingError(
             f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
         )
-    columns: dict[str, Array] = {"time": _times(frame, info)}
+    columns: dict[str, Array] = {"time": _times(path, frame, info)}
     known: dict[str, tuple[str, str]] = {}
     left_out: list[str] = []
     for field in (each for each in (STATE, ACTION) if each in frame):
-        names = _names(path, info, field)
-        values = _matrix(path, field, frame[field], len(names))
+        cells = _lists(path, field, frame[field])
+        names = _names(path, info, field, cells)
+        values = _matrix(path, field, cells, len(names))
         quantity = "position" if field == STATE else "command"
         for k, name in enumerate(names):
             if name.endswith(OTHERS):
@@ -77,14 +77,16 @@ def is_lerobot(path: Path) -> bool:
 def _info(path: Path) -> Mapping[str, Any]:
     check_regular(path, "recording", RecordingError, LARGEST)
     try:
-        info = json.loads(path.read_text("utf-8"))
-        if not isinstance(info["features"], dict):
-            raise TypeError("features is no object")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        info = parsed_json(path.read_bytes())
+        if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
+            raise ValueError("it has no object 'features'")
+        if not all(isinstance(each, dict) for each in info["features"].values()):
+            raise ValueError("a feature is no object")
+    except (ValueError, OSError) as error:
         raise RecordingError(
             f"{path} does not describe a LeRobot dataset ({reason(error)})", file=str(path)
         ) from error
-    return dict(info)
+    return info
 
 
 def _frame(files: Sequence[Path]) -> pl.DataFrame:
@@ -102,36 +104,63 @@ def _frame(files: Sequence[Path]) -> pl.DataFrame:
     return together.sort(order) if order else together
 
 
-def _names(path: Path, info: Mapping[str, Any], field: str) -> tuple[str, ...]:
+def _names(
+    path: Path, info: Mapping[str, Any], field: str, cells: Sequence[Any]
+) -> tuple[str, ...]:
     """Return the names of the numbers of a feature."""
     feature = info["features"].get(field, {})
     names = feature.get("names")
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        count = feature.get("shape", [0])[0]
-        names = [f"joint_{k + 1}" for k in range(int(count))]
+        first = next((row for row in cells if row is not None), ())
+        names = [f"joint_{k + 1}" for k in range(len(first))]
     if not names:
         raise RecordingError(f"{path} does not name the joints of {field}", file=str(path))
     return tuple(names)
 
 
-def _times(frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
-    """Return one clock for all episodes, with gaps between them."""
-    n = frame.height
-    if "timestamp" in frame.columns:
-        t = frame["timestamp"].cast(pl.Float64).to_numpy()
+def _times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
+    """Return one clock for all episodes, with gaps between them.
+
+    It is that of the time stamps, or without them that of the frames at `fps`.
+    """
+    stamps = pl.Series([None] * frame.height, dtype=pl.Float64)
+    if "timestamp" in frame.columns and frame["timestamp"].dtype.is_numeric():
+        stamps = frame["timestamp"].cast(pl.Float64)
+    if stamps.null_count() < frame.height:
+        t = stamps.to_numpy()
+    elif RATES.holds(info.get("fps")):
+        counted = "frame_index" if "frame_index" in frame.columns else None
+        frames = np.arange(frame.height) if counted is None else frame[counted].to_numpy()
+        t = frames / float(info["fps"])
     else:
-        t = np.arange(n) / float(info.get("fps") or 30.0)
+        raise RecordingError(
+            f"{path} has no time: no time stamps, and no fps in {INFO} (a number {RATES})",
+            cure=Cure(f'write "fps" into {INFO}'),
+            file=str(path),
+            value=shortened(str(info.get("fps"))),
+        )
     fresh = np.concatenate([[False], np.diff(t) <= 0.0])
     # Time [s] between episodes, whose clocks each begin at zero.
     before = np.concatenate([[0.0], np.where(fresh[1:], t[:-1] - t[1:] + 10.0, 0.0)])
     return np.asarray(t + np.cumsum(before))
 
 
-def _matrix(path: Path, field: str, cells: pl.Series, n_joints: int) -> Array:
-    values = cells.to_list()
-    if any(not isinstance(row, list | tuple) or len(row) != n_joints for row in values):
+def _lists(path: Path, field: str, cells: pl.Series) -> list[Any]:
+    """Return the rows of a feature; raises `RecordingError` unless they are lists of numbers."""
+    inner = getattr(cells.dtype, "inner", None)
+    if inner is None or not inner.is_numeric():
+        raise RecordingError(
+            f"{path}: {field} holds {cells.dtype}, not lists of numbers",
+            cure=Cure("export the dataset again"),
+            file=str(path),
+        )
+    return cells.to_list()
+
+
+def _matrix(path: Path, field: str, values: Sequence[Any], n_joints: int) -> Array:
+    if any(row is None or len(row) != n_joints for row in values):
         raise RecordingError(
             f"{path}: {field} does not hold {n_joints} numbers in every row",
             cure=Cure("export the dataset again"),
