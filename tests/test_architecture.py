@@ -38,6 +38,7 @@ STAGES = (
 LEAVES = (
     "arrays",
     "codec",
+    "compilation",
     "errors",
     "executor",
     "findings",

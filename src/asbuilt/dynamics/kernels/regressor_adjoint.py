@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.batches import flat, inertial_parameters
-from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,

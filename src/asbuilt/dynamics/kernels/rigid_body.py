@@ -10,7 +10,7 @@ threads share one array.
 
 from __future__ import annotations
 
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, load_every, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,

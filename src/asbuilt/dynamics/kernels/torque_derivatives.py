@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.compilation import kernel, part
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.batches import flat, joint_samples
-from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     BLOCK,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 
 SLOW = 0.003
 """Share of a joint's top speed below which it may be at rest."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 
 MOST_DIFFERENCES = 20_000
 """Differences of a joint that are used; of longer recordings every second, third, ..."""
