@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,7 @@ from asbuilt.description.structure.locking import (
     locked_positions,
     merged,
 )
+from asbuilt.description.structure.loops import Loop
 from asbuilt.description.structure.motors import with_rotors
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
@@ -40,7 +42,11 @@ from asbuilt.description.structure.parts import (
     Symbols,
 )
 from asbuilt.errors import DescriptionError
+from asbuilt.findings import joined
 from asbuilt.tables import Column, Table
+
+if TYPE_CHECKING:
+    from asbuilt.description.structure.closure import Closure
 
 __all__ = [
     "PLAIN_TERMS",
@@ -53,6 +59,7 @@ __all__ = [
     "JointKind",
     "JointLimits",
     "Link",
+    "Loop",
     "MassRange",
     "Mimic",
     "RobotModel",
@@ -69,8 +76,11 @@ class RobotModel:
 
     Fixed joints are already merged. Joints that follow others (`mimic`) have no drive and no column
     in a log: the constructor sets them apart as `followers`, which move the links behind those of
-    the `joints`. The names of `joints` are those of the coordinates of the robot: columns of a log,
-    drives. A joint that several of them move, or one by a factor, says so in its `mimic`.
+    the `joints`. So do passive joints, which `loops` place; `posture` says where joints are, by
+    name, when the loops are closed, roughly [rad or m]. Where no joint is said to be passive, those
+    are that have no drive, or else the last ones of each chain. The names of `joints` are those of
+    the coordinates of the robot: columns of a log, drives. A joint that several of them move, or
+    one by a factor, says so in its `mimic`.
 
     `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value
     of each symbol that the joints use. `drives_by_design` is False where the joints' drive values
@@ -95,6 +105,8 @@ class RobotModel:
     root_link: str = "root"
     frames: tuple[Frame, ...] = ()
     followers: tuple[Joint, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    posture: Mapping[str, float] = field(default_factory=dict)
     lengths: Mapping[str, float] = field(default_factory=dict)
     drives_by_design: bool = True
     motor_coupling: Array | None = None
@@ -116,10 +128,11 @@ class RobotModel:
             )
         gravity.setflags(write=False)
         object.__setattr__(self, "gravity", gravity)
-        if len(self.joints) + len(self.followers) == len(self.links) and not all(
-            joint.has_motor for joint in self.joints
-        ):
-            self._set_followers_apart()
+        if len(self.joints) + len(self.followers) == len(self.links):
+            if not all(joint.has_motor for joint in self.joints):
+                self._set_followers_apart()
+            if self.loops and not any(joint.is_passive for joint in self.followers):
+                self._set_passive_joints()
         every = self.moving_joints
         if not self.joints:
             raise DescriptionError(
@@ -144,7 +157,13 @@ class RobotModel:
             if repeated:
                 raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
         tree_order(self.name, every, len(self.joints))
-        assert self.coupling is None or self.coupling.matrix.size
+        passive = [joint.name for joint in every if joint.is_passive]
+        if passive and not self.loops:
+            raise DescriptionError(
+                f"{self.name}: joint {passive[0]!r} is passive, but no loop places it; give the"
+                " loops, or a motor"
+            )
+        assert self.coupling is None or self.coupling.of_links.size
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -275,11 +294,44 @@ class RobotModel:
         return tuple(joint.parent for joint in self.moving_joints)
 
     @cached_property
-    def coupling(self) -> Coupling | None:
+    def coupling(self) -> Coupling | Closure | None:
         """How the joints of all links move with the coordinates, None where these are the same."""
+        if self.loops:
+            # numba is slow to import, and most robots have no loops
+            from asbuilt.description.structure.closure import closure_of  # noqa: PLC0415
+
+            return closure_of(
+                self.name, self.joints, self.followers, self.loops, self.posture, *self._places
+            )
         if all(joint.mimic is None for joint in self.moving_joints):
             return None
         return coupling_of(self.name, self.joints, self.followers)
+
+    @property
+    def _places(self) -> tuple[dict[str, int], tuple[Frame, ...]]:
+        """The link of each name, `ROOT` for the root, and the frames."""
+        names = {link.name: k for k, link in enumerate(self.links)}
+        return {self.root_link: ROOT} | names, self.frames
+
+    def _set_passive_joints(self) -> None:
+        """Take the joints of loops that have no motor for passive."""
+        from asbuilt.description.structure.closure import passive_joints  # noqa: PLC0415
+
+        found = passive_joints(
+            self.name, self.joints, self.followers, self.loops, self.posture, *self._places
+        )
+        object.__setattr__(
+            self,
+            "joints",
+            tuple(
+                replace(joint, mimic=Mimic({})) if joint.name in found else joint
+                for joint in self.joints
+            ),
+        )
+        if found:
+            said = f"{joined(found, len(found))} taken for passive; name them if others are"
+            object.__setattr__(self, "notes", (*self.notes, said))
+            self._set_followers_apart()
 
     @cached_property
     def tree(self) -> RobotModel:
@@ -293,6 +345,8 @@ class RobotModel:
             links=links,
             frames=frames,
             followers=(),
+            loops=(),
+            posture={},
             motor_coupling=None,
             usual_drive="",
         )
@@ -386,12 +440,22 @@ class RobotModel:
         return np.where(alone[:, None], 0.0, T)
 
     def link_positions(self, q: Array) -> Array:
-        """Return the positions (..., n_links) of the joints of all links, for q (..., n_joints)."""
-        return q if self.coupling is None else self._of_links(self.coupling.positions(q))
+        """Return the positions (..., n_links) of the joints of all links, for q (..., n_joints).
 
-    def link_rates(self, qd: Array) -> Array:
-        """Return the velocities (..., n_links) of the joints of all links."""
-        return qd if self.coupling is None else self._of_links(self.coupling.rates(qd))
+        Raises `MotionError` where loops do not close.
+        """
+        if self.coupling is None:
+            return q
+        flat = np.reshape(q, (-1, self.n_joints))
+        return self._of_links(self.coupling.positions(flat)).reshape(*np.shape(q)[:-1], -1)
+
+    def link_rates(self, q: Array, qd: Array) -> Array:
+        """Return the velocities (..., n_links) of the joints of all links at positions q."""
+        if self.coupling is None:
+            return qd
+        at, rates = (np.reshape(part, (-1, self.n_joints)) for part in (q, qd))
+        moved = self.coupling.motion(at, rates).qd
+        return self._of_links(moved).reshape(*np.shape(qd)[:-1], -1)
 
     def _of_links(self, of_tree: Array) -> Array:
         assert self.coupling is not None

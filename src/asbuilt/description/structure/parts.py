@@ -169,6 +169,11 @@ class Joint:
         return self.mimic is None or self.name in self.mimic.factors
 
     @property
+    def is_passive(self) -> bool:
+        """Whether neither a motor nor another joint but loops of the robot place it."""
+        return self.mimic is not None and not self.mimic.factors
+
+    @property
     def name_in_tree(self) -> str:
         """Name of the joint itself, where that of its motor is another."""
         return self.name if self.mimic is None else self.mimic.joint or self.name
