@@ -14,6 +14,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
+    TreeMotion,
     coupling_of,
     separated,
     tree_order,
@@ -308,6 +309,41 @@ class RobotModel:
         return coupling_of(self.name, self.joints, self.followers)
 
     @property
+    def closure(self) -> Closure | None:
+        """The `coupling` of a robot with loops, None without."""
+        found = self.coupling
+        return None if found is None or isinstance(found, Coupling) else found
+
+    def constant_coupling(self, purpose: str) -> Coupling | None:
+        """Return the `coupling` where its shares are constant.
+
+        Raises `DescriptionError`, which names the `purpose`, for a robot with loops.
+        """
+        found = self.coupling
+        if found is None or isinstance(found, Coupling):
+            return found
+        names = joined([str(loop) for loop in self.loops])
+        raise DescriptionError(
+            f"{purpose} needs a robot whose joints move by constant shares of the motors;"
+            f" {self.name} has closed chains ({names})",
+            loops=[str(loop) for loop in self.loops],
+        )
+
+    def place_of(self, name: str, point: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[int, Array]:
+        """Return link and point (3,) in its axes for a point of a link, a frame or the root link.
+
+        Raises `DescriptionError` for another name.
+        """
+        places, frames = self._places
+        if name in places:
+            return places[name], np.array(point, dtype=np.float64)
+        for frame in frames:
+            if frame.name == name:
+                at = frame.placement
+                return frame.link, at[:3, :3] @ np.asarray(point) + at[:3, 3]
+        raise DescriptionError(f"{self.name} has no link {name!r}; it has {', '.join(places)}")
+
+    @property
     def _places(self) -> tuple[dict[str, int], tuple[Frame, ...]]:
         """The link of each name, `ROOT` for the root, and the frames."""
         names = {link.name: k for k, link in enumerate(self.links)}
@@ -447,19 +483,28 @@ class RobotModel:
         if self.coupling is None:
             return q
         flat = np.reshape(q, (-1, self.n_joints))
-        return self._of_links(self.coupling.positions(flat)).reshape(*np.shape(q)[:-1], -1)
+        return self.link_motion(flat).q.reshape(*np.shape(q)[:-1], -1)
 
-    def link_rates(self, q: Array, qd: Array) -> Array:
-        """Return the velocities (..., n_links) of the joints of all links at positions q."""
+    def link_motion(
+        self, q: Array, qd: Array | None = None, qdd: Array | None = None
+    ) -> TreeMotion:
+        """Return the motion (N, n_links) of the joints of all links, in the order of the links.
+
+        `q`, `qd`, `qdd` are (N, n_joints); rates not given are zero. Raises `MotionError` where
+        loops do not close.
+        """
         if self.coupling is None:
-            return qd
-        at, rates = (np.reshape(part, (-1, self.n_joints)) for part in (q, qd))
-        moved = self.coupling.motion(at, rates).qd
-        return self._of_links(moved).reshape(*np.shape(qd)[:-1], -1)
-
-    def _of_links(self, of_tree: Array) -> Array:
-        assert self.coupling is not None
-        return np.asarray(of_tree[..., np.argsort(self.coupling.order)])
+            still = np.zeros_like(q)
+            rates = [still if part is None else part for part in (qd, qdd)]
+            return TreeMotion(q, rates[0], rates[1], np.eye(self.n_joints))
+        moved = self.coupling.motion(q, qd, qdd)
+        order = np.argsort(self.coupling.order)
+        return TreeMotion(
+            moved.q[:, order],
+            moved.qd[:, order],
+            moved.qdd[:, order],
+            moved.shares[..., order, :],
+        )
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the links from the root to that of `joint`, itself included, in order."""

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
@@ -38,6 +39,8 @@ NEAR = 0.3
 """How far they are from it [rad, or share of a loop's size]."""
 SEEN = 1e-6
 """Singular values below this share of the derivative of the loops count as none."""
+DIFFERENCE = 1e-5
+"""Half width of central differences [rad, or share of a loop's size]: cube root of rounding."""
 UNMOVED = 1e-9
 """Share below which a motor does not move a joint."""
 SEED = 26
@@ -53,8 +56,22 @@ class Postures:
     """
 
     gap: Array
-    closed: Indices
+    closed: NDArray[np.bool_]
     distance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ShareDerivatives:
+    """Hold derivatives of the motion of the joints of the tree by that of the motors.
+
+    `second` (N, n_links, n, n) are those of f, `d^2 f_i / dq_j dq_k`; `turning` (N, n_links, n) is
+    dG/dt, so that d qd_tree/dq is `turning` and d qdd_tree/dqd twice that; `position` (N, n_links,
+    n) is d qdd_tree/dq.
+    """
+
+    second: Array
+    turning: Array
+    position: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +112,27 @@ class Closure:
         if failed.size:
             raise self._error(q, int(failed[0]), failed.size, quality[failed[0], 1])
         return motion
+
+    def derivatives(self, q: Array, qd: Array, qdd: Array) -> ShareDerivatives:
+        """Return derivatives of `motion` at states (N, n).
+
+        `qdd_tree - G qdd` is a quadratic form of velocities with the second derivatives of f as its
+        matrix, so that these are exact differences of it. The third ones are central differences.
+        """
+        n, still = self.n_joints, np.zeros_like(q)
+        units = np.broadcast_to(np.eye(n)[:, None], (n, *q.shape))
+        alone = [self.motion(q, unit, still).qdd for unit in units]
+        second = np.empty((*alone[0].shape, n, n))
+        for j in range(n):
+            second[..., j, j] = alone[j]
+            for k in range(j):
+                both = self.motion(q, units[j] + units[k], still).qdd
+                second[..., j, k] = second[..., k, j] = 0.5 * (both - alone[j] - alone[k])
+        position = np.empty((*alone[0].shape, n))
+        for j, step in enumerate(DIFFERENCE * self.scale[:n]):
+            ahead, behind = (self.motion(q + by * units[j], qd, qdd).qdd for by in (step, -step))
+            position[..., j] = (ahead - behind) / (2.0 * step)
+        return ShareDerivatives(second, np.einsum("sijk,sk->sij", second, qd), position)
 
     def positions(self, q: Array) -> Array:
         """Return the positions (N, n_links) of the joints of the tree."""
@@ -139,7 +177,7 @@ class Closure:
         """Return (q, p) for motors (n,) and the joints of the tree (n_links,)."""
         known = np.linalg.lstsq(self.linear, at - self.offset, rcond=None)[0]
         known[: q.size] = q
-        return known
+        return np.asarray(known, dtype=np.float64)
 
     def _follow(self, q: Array, qd: Array | None, qdd: Array | None) -> tuple[TreeMotion, Array]:
         given = np.ascontiguousarray(q, dtype=np.float64)

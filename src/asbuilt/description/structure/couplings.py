@@ -38,6 +38,11 @@ class TreeMotion:
     qdd: Array
     shares: Array
 
+    @property
+    def by_sample(self) -> Array:
+        """The shares with an axis of samples, of length 1 where they are constant."""
+        return self.shares if self.shares.ndim == 3 else self.shares[None]
+
     def torques(self, tau: Array) -> Array:
         """Return `G^T tau` (N, n_joints) for torques (N, n_links) at the joints of the tree."""
         if self.shares.ndim == 2:
@@ -68,6 +73,9 @@ class Coupling:
         at = self.positions(q)
         rates = [np.zeros_like(at) if part is None else self.rates(part) for part in (qd, qdd)]
         return TreeMotion(at, rates[0], rates[1], self.matrix)
+
+    def derivatives(self, q: Array, qd: Array, qdd: Array) -> None:
+        """Return None: shares do not change with the motion."""
 
     def positions(self, q: Array) -> Array:
         """Return the positions (N, n_links) of the joints of the tree for those (N, n_joints)."""

@@ -59,6 +59,8 @@ class Loop:
                 )
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        object.__setattr__(self, "joints", tuple(self.joints))
+        object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))
         fault = rotation_fault(self.rotation.tolist())
         if fault is not None:
             raise DescriptionError(f"{self}: rotation is not a rotation matrix: {fault}")
