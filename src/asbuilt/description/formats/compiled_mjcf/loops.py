@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from asbuilt.arrays import Array
+from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
 from asbuilt.description.model import ROOT, Joint, Loop, Mimic
 from asbuilt.description.rotation import (
     composed,
@@ -55,7 +56,8 @@ def _curve(m: Any, k: int, joints: Sequence[Joint], name: str) -> Loop | None:
     if other >= 0:
         polynomial = polynomial(Polynomial([-rest[1], 1.0]))
     terms = np.zeros(5 if other >= 0 else 1)
-    terms[:] = polynomial.coef[: terms.size]
+    known = polynomial.coef[: terms.size]
+    terms[: known.size] = known
     terms[0] += rest[0]
     moved = (joints[one].name, *((joints[other].name,) if other >= 0 else ()))
     return Loop("joint", joints=moved, polynomial=tuple(terms.tolist()), name=name)
@@ -101,11 +103,8 @@ def with_passive_joints(
     """
     if not m.nu:
         return list(joints)
-    driven = {
-        int(m.actuator_trnid[a, 0])
-        for a in range(m.nu)
-        if m.actuator_trntype[a] in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    }
+    actuators = Actuators(mujoco, m)
+    driven = {k for k in range(len(joints)) if actuators.of(k)}
     inside = set[int]()
     for loop in loops:
         if loop.kind == "joint":
