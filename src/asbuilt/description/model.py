@@ -583,6 +583,7 @@ class RobotModel:
             links=links,
             frames=frames,
             followers=(),
+            posture={name: q for name, q in self.posture.items() if name not in values},
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
             held_followers=held_followers(present, self.held_followers, values),

@@ -211,6 +211,13 @@ def locked_positions(
             value=unknown[0],
             available=[*by_name, *locked],
         )
+    placed = [name for name in asked if name in by_name and by_name[name].is_passive]
+    if placed:
+        raise DescriptionError(
+            f"joint {placed[0]!r} cannot be locked: the loops of {robot} place it; lock the motors"
+            " that move it",
+            value=placed[0],
+        )
     for name, value in asked.items():
         if value is not None and not math.isfinite(value):
             raise DescriptionError(f"joint {name!r} cannot be locked at {value}; give a number")
@@ -244,6 +251,7 @@ class _Lock:
                 for joint in by_name.values()
                 if joint.mimic is not None
                 and not joint.has_motor
+                and not joint.is_passive
                 and all(self._is_still(name) for name in joint.mimic.factors)
             }
             - self.held
