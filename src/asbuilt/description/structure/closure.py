@@ -173,6 +173,11 @@ class Closure:
             row += count
         return found
 
+    def moves_loops(self, motor: int) -> bool:
+        """Return whether a motor moves a joint that loops place."""
+        loops = set(self.order[self.numbers.joints].tolist())
+        return bool(np.any(self.of_links[sorted(loops), motor]))
+
     def _coordinates(self, q: Array, at: Array) -> Array:
         """Return (q, p) for motors (n,) and the joints of the tree (n_links,)."""
         known = np.linalg.lstsq(self.linear, at - self.offset, rcond=None)[0]
@@ -189,7 +194,7 @@ class Closure:
 
     def _error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
         """Return the error for a posture that does not close."""
-        own = [k for k in range(self.n_joints) if np.count_nonzero(self.of_links[:, k]) > 1]
+        own = [k for k in range(self.n_joints) if self.moves_loops(k)]
         at = joined([f"{self.names[k]} = {q[sample, k]:.6g}" for k in own], len(own))
         what = (
             "is singular: motors do not place all passive joints"
