@@ -251,7 +251,8 @@ class RobotModel:
     def tool_link(self) -> int:
         """Link that carries a tool: that of the last drive; below fingers, the one that has them.
 
-        Fingers are links of different branches that one drive moves.
+        Where loops place joints, it is the link of the last frame, if a frame is on a link. Fingers
+        are links of different branches that one drive moves.
 
         Examples
         --------
@@ -259,6 +260,9 @@ class RobotModel:
         >>> bundled_robot("puma-560").tool_link
         5
         """
+        carriers = [frame.link for frame in self.frames if frame.link != ROOT]
+        if self.loops and carriers:
+            return carriers[-1]
         parents, link = self.parents, self.n_joints - 1
         driven = [set(np.flatnonzero(row).tolist()) for row in self.link_shares]
         while (up := parents[link]) != ROOT and any(

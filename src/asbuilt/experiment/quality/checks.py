@@ -254,10 +254,14 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         of_loops = list(closure_findings(model, beginning))
         findings += of_loops
         follows = not any(f.severity == "error" for f in of_loops)
-        of_torques = [
-            *(_findings_in_time(model, chunks, known) if follows else ()),
-            *unsigned_findings(model, known.torque_range, beginning),
-        ]
+        of_torques = (
+            [
+                *_findings_in_time(model, chunks, known),
+                *unsigned_findings(model, known.torque_range, beginning),
+            ]
+            if follows
+            else []
+        )
         findings += of_commands
         findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
