@@ -11,6 +11,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.formats.sdf import read_sdf
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import random_postures
@@ -202,3 +203,45 @@ def test_a_file_extends_another_by_a_loop(tmp_path) -> None:
     np.testing.assert_allclose(
         torques(load_robot(tmp_path / "robot.toml"), whole), torques(whole, whole), rtol=1e-12
     )
+
+
+def sdf_bar(last: str) -> str:
+    """The four-bar with the crank along x: a parallelogram of sides 0.5 and 0.2."""
+
+    def link(name: str, x: float, z: float, mass: float) -> str:
+        return (
+            f'<link name="{name}"><pose>{x} 0 {z} 0 0 0</pose><inertial><pose>0.1 0 0 0 0 0</pose>'
+            f"<mass>{mass}</mass><inertia><ixx>0.01</ixx><iyy>0.02</iyy><izz>0.02</izz></inertia>"
+            "</inertial></link>"
+        )
+
+    def joint(name: str, parent: str, child: str, pose: str = "", limit: str = "") -> str:
+        return (
+            f'<joint name="{name}" type="revolute">{pose}<parent>{parent}</parent>'
+            f"<child>{child}</child><axis><xyz>0 1 0</xyz>{limit}</axis></joint>"
+        )
+
+    effort = "<limit><effort>20</effort></limit>"
+    return (
+        '<sdf version="1.9"><model name="bar">'
+        + link("crank", 0, 0, 1.0) + link("coupler", 0, 0.2, 2.0) + link("rocker", 0.45, 0, 1.5)
+        + joint("a", "world", "crank", limit=effort)
+        + joint("b", "crank", "coupler") + joint("c", "world", "rocker") + last
+        + "</model></sdf>"
+    )  # fmt: skip
+
+
+def test_sdf_closes_a_loop_by_a_joint_to_a_link_that_another_one_moves() -> None:
+    hinge = (
+        '<joint name="d" type="{}"><pose>-0.05 0 0.3 0 0 0</pose><parent>coupler</parent>'
+        "<child>rocker</child><axis><xyz>0 1 0</xyz></axis></joint>"
+    )
+    robots = [read_sdf(sdf_bar(hinge.format(kind))) for kind in ("revolute", "ball")]
+    for robot in robots:
+        assert robot.joint_names == ("a",)
+        assert all(joint.is_passive for joint in robot.followers)
+    np.testing.assert_allclose(
+        torques(robots[0], robots[0]), torques(robots[1], robots[0]), rtol=1e-9
+    )
+    with pytest.raises(DescriptionError, match="not 'prismatic'"):
+        read_sdf(sdf_bar(hinge.format("prismatic")))
