@@ -164,7 +164,8 @@ class RobotModel:
                 f"{self.name}: joint {passive[0]!r} is passive, but no loop places it; give the"
                 " loops, or a motor"
             )
-        assert self.coupling is None or self.coupling.of_links.size
+        # loops are closed when they are first needed; readers of files ask for it at once
+        assert self.loops or self.coupling is None or self.coupling.of_links.size
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -317,6 +318,11 @@ class RobotModel:
         """The `coupling` of a robot with loops, None without."""
         found = self.coupling
         return None if found is None or isinstance(found, Coupling) else found
+
+    def closed(self) -> RobotModel:
+        """Return the robot itself; raises `DescriptionError` where its loops do not close."""
+        assert self.coupling is None or self.coupling.of_links.size
+        return self
 
     def constant_coupling(self, purpose: str) -> Coupling | None:
         """Return the `coupling` where its shares are constant.

@@ -135,7 +135,7 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
         frames=tuple(tree.frames),
         source="MJCF text" if source == "the description" else source,
         notes=condensed(tree.notes),
-    )
+    ).closed()
 
 
 def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:

@@ -90,7 +90,7 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
         else _numbers(gravity.text, 3, f"{source}: <gravity>")
     )
     loops = _loops(closing, _frames(model, source), source)
-    return replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops)
+    return replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops).closed()
 
 
 def _closing_joints(model: Element, source: str) -> list[Element]:

@@ -61,11 +61,16 @@ def read_robot_toml(path: str | Path) -> RobotModel:
 
 
 def robot_from_toml(
-    text: str, *, source: str = "TOML text", folder: Path | None = None
+    text: str,
+    *,
+    source: str = "TOML text",
+    folder: Path | None = None,
+    close: bool = True,
 ) -> RobotModel:
     """Read a robot from the text of a TOML file; `source` names it in errors and in the model.
 
-    `folder` is where a description is that the file extends.
+    `folder` is where a description is that the file extends. Loops are closed at once, or when they
+    are first needed, which spares the compiler where robots are only listed.
 
     Raises `DescriptionError` as `read_robot_toml`.
     """
@@ -75,7 +80,8 @@ def robot_from_toml(
         raise DescriptionError(f"{source}: this is not valid TOML: {reason(error)}") from None
     file = checked_file(content, source)
     try:
-        return _extended(file, source, folder) if file.extends else _model(file, source)
+        model = _extended(file, source, folder) if file.extends else _model(file, source)
+        return model.closed() if close else model
     except AsbuiltError as error:
         raise DescriptionError(f"{source}: {error}") from None
 
