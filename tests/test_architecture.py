@@ -39,6 +39,7 @@ LEAVES = (
     "arrays",
     "children",
     "codec",
+    "compilation",
     "errors",
     "executor",
     "findings",

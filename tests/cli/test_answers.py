@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from asbuilt import compilation
 from asbuilt.cli.answers import COMPILING, Screen, cure_text, finding_text
-from asbuilt.dynamics.kernels import compilation
 from asbuilt.findings import Cure, Finding
 
 

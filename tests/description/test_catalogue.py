@@ -15,6 +15,7 @@ from asbuilt.errors import DescriptionError
 EXPECTED = {
     "dvrk-mtm": 7,
     "dvrk-psm": 7,
+    "four-bar": 1,
     "franka-panda": 7,
     "g1-arms": 14,
     "go2": 12,

@@ -19,7 +19,7 @@ from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
     from asbuilt.cli.arguments.spread import Common
-    from asbuilt.dynamics.kernels.compilation import Kernel
+    from asbuilt.compilation import Kernel
     from asbuilt.findings import Finding
 
 COMPILING = "compiling the dynamics: once per installation, about 20 s"
@@ -60,7 +60,7 @@ class Screen:
 
     def announce_compilation(self, kernel: Kernel) -> None:
         """Say that machine code is being made and, if it can be kept, make all there is."""
-        from asbuilt.dynamics.kernels.compilation import compile_kernels
+        from asbuilt.compilation import compile_kernels
 
         message = COMPILING if kernel.is_kept else COMPILING_EACH_TIME
         stage = message.replace(":", ",")
@@ -117,7 +117,7 @@ def screen_of(common: Common, *, compiles: bool) -> Iterator[None]:
     screen = Screen(quiet=common.quiet, verbose=common.verbose)
     token = _screen.set(screen)
     if compiles:
-        from asbuilt.dynamics.kernels.compilation import announced_by
+        from asbuilt.compilation import announced_by
 
         announcing: AbstractContextManager[None] = announced_by(screen.announce_compilation)
     else:

@@ -38,7 +38,9 @@ def bundled_robot(name: str) -> RobotModel:
             f" {', '.join(robot_names())}"
         )
     return robot_from_toml(
-        (_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), source=f"bundled robot {name}"
+        (_FOLDER / f"{name}.toml").read_text(encoding="utf-8"),
+        source=f"bundled robot {name}",
+        close=False,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
+    TreeMotion,
     coupling_of,
     separated,
     tree_order,
@@ -23,6 +25,7 @@ from asbuilt.description.structure.locking import (
     locked_positions,
     merged,
 )
+from asbuilt.description.structure.loops import Loop
 from asbuilt.description.structure.motors import with_rotors
 from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
@@ -40,7 +43,11 @@ from asbuilt.description.structure.parts import (
     Symbols,
 )
 from asbuilt.errors import DescriptionError
+from asbuilt.findings import joined
 from asbuilt.tables import Column, Table
+
+if TYPE_CHECKING:
+    from asbuilt.description.structure.closure import Closure
 
 __all__ = [
     "PLAIN_TERMS",
@@ -53,6 +60,7 @@ __all__ = [
     "JointKind",
     "JointLimits",
     "Link",
+    "Loop",
     "MassRange",
     "Mimic",
     "RobotModel",
@@ -69,8 +77,11 @@ class RobotModel:
 
     Fixed joints are already merged. Joints that follow others (`mimic`) have no drive and no column
     in a log: the constructor sets them apart as `followers`, which move the links behind those of
-    the `joints`. The names of `joints` are those of the coordinates of the robot: columns of a log,
-    drives. A joint that several of them move, or one by a factor, says so in its `mimic`.
+    the `joints`. So do passive joints, which `loops` place; `posture` says where joints are, by
+    name, when the loops are closed, roughly [rad or m]. Where no joint is said to be passive, those
+    are that have no drive, or else the last ones of each chain. The names of `joints` are those of
+    the coordinates of the robot: columns of a log, drives. A joint that several of them move, or
+    one by a factor, says so in its `mimic`.
 
     `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value
     of each symbol that the joints use. `drives_by_design` is False where the joints' drive values
@@ -95,6 +106,8 @@ class RobotModel:
     root_link: str = "root"
     frames: tuple[Frame, ...] = ()
     followers: tuple[Joint, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    posture: Mapping[str, float] = field(default_factory=dict)
     lengths: Mapping[str, float] = field(default_factory=dict)
     drives_by_design: bool = True
     motor_coupling: Array | None = None
@@ -116,10 +129,11 @@ class RobotModel:
             )
         gravity.setflags(write=False)
         object.__setattr__(self, "gravity", gravity)
-        if len(self.joints) + len(self.followers) == len(self.links) and not all(
-            joint.has_motor for joint in self.joints
-        ):
-            self._set_followers_apart()
+        if len(self.joints) + len(self.followers) == len(self.links):
+            if not all(joint.has_motor for joint in self.joints):
+                self._set_followers_apart()
+            if self.loops and not any(joint.is_passive for joint in self.followers):
+                self._set_passive_joints()
         every = self.moving_joints
         if not self.joints:
             raise DescriptionError(
@@ -144,7 +158,14 @@ class RobotModel:
             if repeated:
                 raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
         tree_order(self.name, every, len(self.joints))
-        assert self.coupling is None or self.coupling.matrix.size
+        passive = [joint.name for joint in every if joint.is_passive]
+        if passive and not self.loops:
+            raise DescriptionError(
+                f"{self.name}: joint {passive[0]!r} is passive, but no loop places it; give the"
+                " loops, or a motor"
+            )
+        # loops are closed when they are first needed; readers of files ask for it at once
+        assert self.loops or self.coupling is None or self.coupling.of_links.size
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -231,7 +252,8 @@ class RobotModel:
     def tool_link(self) -> int:
         """Link that carries a tool: that of the last drive; below fingers, the one that has them.
 
-        Fingers are links of different branches that one drive moves.
+        Where loops place joints, it is the link of the last frame, if a frame is on a link. Fingers
+        are links of different branches that one drive moves.
 
         Examples
         --------
@@ -239,6 +261,9 @@ class RobotModel:
         >>> bundled_robot("puma-560").tool_link
         5
         """
+        carriers = [frame.link for frame in self.frames if frame.link != ROOT]
+        if self.loops and carriers:
+            return carriers[-1]
         parents, link = self.parents, self.n_joints - 1
         driven = [set(np.flatnonzero(row).tolist()) for row in self.link_shares]
         while (up := parents[link]) != ROOT and any(
@@ -275,11 +300,84 @@ class RobotModel:
         return tuple(joint.parent for joint in self.moving_joints)
 
     @cached_property
-    def coupling(self) -> Coupling | None:
+    def coupling(self) -> Coupling | Closure | None:
         """How the joints of all links move with the coordinates, None where these are the same."""
+        if self.loops:
+            # numba is slow to import, and most robots have no loops
+            from asbuilt.description.structure.closure import closure_of  # noqa: PLC0415
+
+            return closure_of(
+                self.name, self.joints, self.followers, self.loops, self.posture, *self._places
+            )
         if all(joint.mimic is None for joint in self.moving_joints):
             return None
         return coupling_of(self.name, self.joints, self.followers)
+
+    @property
+    def closure(self) -> Closure | None:
+        """The `coupling` of a robot with loops, None without."""
+        found = self.coupling
+        return None if found is None or isinstance(found, Coupling) else found
+
+    def closed(self) -> RobotModel:
+        """Return the robot itself; raises `DescriptionError` where its loops do not close."""
+        assert self.coupling is None or self.coupling.of_links.size
+        return self
+
+    def constant_coupling(self, purpose: str) -> Coupling | None:
+        """Return the `coupling` where its shares are constant.
+
+        Raises `DescriptionError`, which names the `purpose`, for a robot with loops.
+        """
+        found = self.coupling
+        if found is None or isinstance(found, Coupling):
+            return found
+        names = joined([str(loop) for loop in self.loops])
+        raise DescriptionError(
+            f"{purpose} needs a robot whose joints move by constant shares of the motors;"
+            f" {self.name} has closed chains ({names})",
+            loops=[str(loop) for loop in self.loops],
+        )
+
+    def place_of(self, name: str, point: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[int, Array]:
+        """Return link and point (3,) in its axes for a point of a link, a frame or the root link.
+
+        Raises `DescriptionError` for another name.
+        """
+        places, frames = self._places
+        if name in places:
+            return places[name], np.array(point, dtype=np.float64)
+        for frame in frames:
+            if frame.name == name:
+                at = frame.placement
+                return frame.link, at[:3, :3] @ np.asarray(point) + at[:3, 3]
+        raise DescriptionError(f"{self.name} has no link {name!r}; it has {', '.join(places)}")
+
+    @property
+    def _places(self) -> tuple[dict[str, int], tuple[Frame, ...]]:
+        """The link of each name, `ROOT` for the root, and the frames."""
+        names = {link.name: k for k, link in enumerate(self.links)}
+        return {self.root_link: ROOT} | names, self.frames
+
+    def _set_passive_joints(self) -> None:
+        """Take the joints of loops that have no motor for passive."""
+        from asbuilt.description.structure.closure import passive_joints  # noqa: PLC0415
+
+        found = passive_joints(
+            self.name, self.joints, self.followers, self.loops, self.posture, *self._places
+        )
+        object.__setattr__(
+            self,
+            "joints",
+            tuple(
+                replace(joint, mimic=Mimic({})) if joint.name in found else joint
+                for joint in self.joints
+            ),
+        )
+        if found:
+            said = f"{joined(found, len(found))} taken for passive; name them if others are"
+            object.__setattr__(self, "notes", (*self.notes, said))
+            self._set_followers_apart()
 
     @cached_property
     def tree(self) -> RobotModel:
@@ -293,6 +391,8 @@ class RobotModel:
             links=links,
             frames=frames,
             followers=(),
+            loops=(),
+            posture={},
             motor_coupling=None,
             usual_drive="",
         )
@@ -386,16 +486,35 @@ class RobotModel:
         return np.where(alone[:, None], 0.0, T)
 
     def link_positions(self, q: Array) -> Array:
-        """Return the positions (..., n_links) of the joints of all links, for q (..., n_joints)."""
-        return q if self.coupling is None else self._of_links(self.coupling.positions(q))
+        """Return the positions (..., n_links) of the joints of all links, for q (..., n_joints).
 
-    def link_rates(self, qd: Array) -> Array:
-        """Return the velocities (..., n_links) of the joints of all links."""
-        return qd if self.coupling is None else self._of_links(self.coupling.rates(qd))
+        Raises `MotionError` where loops do not close.
+        """
+        if self.coupling is None:
+            return q
+        flat = np.reshape(q, (-1, self.n_joints))
+        return self.link_motion(flat).q.reshape(*np.shape(q)[:-1], -1)
 
-    def _of_links(self, of_tree: Array) -> Array:
-        assert self.coupling is not None
-        return np.asarray(of_tree[..., np.argsort(self.coupling.order)])
+    def link_motion(
+        self, q: Array, qd: Array | None = None, qdd: Array | None = None
+    ) -> TreeMotion:
+        """Return the motion (N, n_links) of the joints of all links, in the order of the links.
+
+        `q`, `qd`, `qdd` are (N, n_joints); rates not given are zero. Raises `MotionError` where
+        loops do not close.
+        """
+        if self.coupling is None:
+            still = np.zeros_like(q)
+            rates = [still if part is None else part for part in (qd, qdd)]
+            return TreeMotion(q, rates[0], rates[1], np.eye(self.n_joints))
+        moved = self.coupling.motion(q, qd, qdd)
+        order = np.argsort(self.coupling.order)
+        return TreeMotion(
+            moved.q[:, order],
+            moved.qd[:, order],
+            moved.qdd[:, order],
+            moved.shares[..., order, :],
+        )
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the links from the root to that of `joint`, itself included, in order."""
@@ -474,6 +593,7 @@ class RobotModel:
             links=links,
             frames=frames,
             followers=(),
+            posture={name: q for name, q in self.posture.items() if name not in values},
             motor_coupling=coupling,
             locked_joints={**self.locked_joints, **values},
             held_followers=held_followers(present, self.held_followers, values),

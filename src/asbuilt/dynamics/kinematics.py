@@ -8,6 +8,12 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.batches import joint_samples
+from asbuilt.errors import DescriptionError
+
+TRIALS = 20
+"""Batches of random postures after which a mechanism counts as one without room to move."""
+REGULAR = 0.02
+"""Distance to a singular posture from which on rates of passive joints are of usual size."""
 
 
 def _motions(model: RobotModel, q: Array) -> Array:
@@ -37,6 +43,33 @@ def _motions(model: RobotModel, q: Array) -> Array:
     return poses
 
 
+def random_postures(model: RobotModel, rng: np.random.Generator, count: int) -> Array:
+    """Return random positions (count, n_joints), of a whole turn for joints of a tree.
+
+    Where loops place joints, they are within the limits of the motors, away from singular postures,
+    and in the assembly mode of the description. Raises `DescriptionError` where there are none.
+    """
+    n, closure = model.n_joints, model.closure
+    if closure is None:
+        return rng.uniform(-np.pi, np.pi, (count, n))
+    home = closure.home[:n]
+    reach = np.pi * closure.scale[:n]
+    lower = np.maximum([joint.limits.lower for joint in model.joints], home - reach)
+    upper = np.minimum([joint.limits.upper for joint in model.joints], home + reach)
+    found = np.empty((0, n))
+    for trial in range(TRIALS):
+        width = 1.0 - trial / TRIALS  # nearer to the first posture, the longer it takes
+        q = home + width * (rng.uniform(lower, upper, (count, n)) - home)
+        at = closure.postures(q)
+        found = np.vstack([found, q[at.closed & (at.distance > REGULAR)]])
+        if len(found) >= count:
+            return found[:count]
+    raise DescriptionError(
+        f"{model.name}: of {TRIALS * count} random postures of the motors the loops close at"
+        f" {len(found)}; give limits within which they do"
+    )
+
+
 def link_poses(model: RobotModel, q: ArrayLike) -> Array:
     """Return the pose of every link in the root frame, shape (n_links, 4, 4).
 
@@ -45,7 +78,7 @@ def link_poses(model: RobotModel, q: ArrayLike) -> Array:
     """
     (qs,) = joint_samples(model, q=q)
     if (coupling := model.coupling) is not None:
-        of_tree = link_poses(model.tree, coupling.positions(qs))
+        of_tree = link_poses(model.tree, coupling.motion(qs).q)
         return of_tree[:, np.argsort(coupling.order)].reshape(*np.shape(q)[:-1], -1, 4, 4)
     poses = _motions(model, qs)
     for i, parent in enumerate(model.parents):
@@ -64,7 +97,10 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
     """
     (qs,) = joint_samples(model, q=q)
     if (coupling := model.coupling) is not None:
-        of_tree = link_jacobians(model.tree, coupling.positions(qs)) @ coupling.matrix
+        moved = coupling.motion(qs)
+        of_tree = link_jacobians(model.tree, moved.q) @ (
+            moved.shares if moved.shares.ndim == 2 else moved.shares[:, None]
+        )
         return of_tree[:, np.argsort(coupling.order)].reshape(
             *np.shape(q)[:-1], -1, 6, model.n_joints
         )

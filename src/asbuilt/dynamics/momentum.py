@@ -59,12 +59,16 @@ class Momentum:
     def __call__(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return p and the gradient of kinetic energy, two (N, n)."""
         coupling = self._coupling
-        state = (q, qd) if coupling is None else (coupling.positions(q), coupling.rates(qd))
+        moved = None if coupling is None else coupling.motion(q, qd)
+        state = (q, qd) if moved is None else (moved.q, moved.qd)
         p, gradient = np.empty(state[0].shape), np.empty(state[0].shape)
         kernels.momentum(*self._mechanism, self._chi, *state, p, gradient)
-        if coupling is None:
+        if coupling is None or moved is None:
             return p, gradient
-        return coupling.torques(p), coupling.torques(gradient)
+        own, turning = moved.torques(gradient), coupling.derivatives(q, qd, np.zeros_like(q))
+        if turning is not None:  # kinetic energy also changes as the shares do
+            own += np.einsum("si,sij->sj", p, turning.turning)
+        return moved.torques(p), own
 
 
 @lru_cache(maxsize=16)

@@ -26,11 +26,9 @@ def _torques(
     threads: int | None,
 ) -> Array:
     if (coupling := model.coupling) is not None:
-        rates = coupling.rates(qd), coupling.rates(qdd)
-        in_tree = coupling.parameters(chi)
-        return coupling.torques(
-            _torques(model.tree, coupling.positions(q), *rates, in_tree, gravity, threads)
-        )
+        moved, in_tree = coupling.motion(q, qd, qdd), coupling.parameters(chi)
+        state = moved.q, moved.qd, moved.qdd
+        return moved.torques(_torques(model.tree, *state, in_tree, gravity, threads))
     layout, torques = layout_of(model), np.empty(q.shape)
     inputs = flat(q), flat(qd), flat(qdd)
     given, out = np.array(gravity, dtype=np.float64), torques.reshape(-1)
@@ -46,9 +44,14 @@ def _torques(
 
 def _joint_space(model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool) -> Array:
     if (coupling := model.coupling) is not None:
-        state = coupling.positions(q), coupling.rates(qd)
-        in_tree = coupling.parameters(chi)
-        return coupling.matrices(_joint_space(model.tree, *state, in_tree, coriolis=coriolis))
+        moved, in_tree = coupling.motion(q, qd), coupling.parameters(chi)
+        of_tree = moved.q, moved.qd, in_tree
+        found = moved.matrices(_joint_space(model.tree, *of_tree, coriolis=coriolis))
+        turning = coupling.derivatives(q, qd, np.zeros_like(q)) if coriolis else None
+        if turning is None:
+            return found
+        masses = _joint_space(model.tree, *of_tree, coriolis=False)
+        return found + np.swapaxes(moved.shares, 1, 2) @ masses @ turning.turning
     layout, (samples, n) = layout_of(model), q.shape
     matrices = np.empty((samples, n, n))
     angles, rates, out = flat(q), flat(qd), matrices.reshape(-1)

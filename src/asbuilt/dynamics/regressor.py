@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,9 @@ from asbuilt.dynamics.kernels.recursion import layout_of
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_count
 from asbuilt.errors import UsageError
+
+if TYPE_CHECKING:
+    from asbuilt.description.structure.closure import Closure
 
 Some = slice | Indices
 
@@ -89,16 +93,19 @@ def _moves(model: RobotModel) -> NDArray[np.bool_]:
 class TreeRows:
     """Hold which rows of the joints of all links make up those of the coordinates.
 
-    By virtual work `Y = A^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
-    factor with rows of the tree (m,), and the rows of the plan (m,) to which their product counts.
+    By virtual work `Y = G^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
+    joint i of the tree and a coordinate k, with rows of the tree (m,), and the rows of the plan
+    (m,) to which their product with `G[i, k]` counts.
     """
 
-    coupling: Coupling
+    coupling: Coupling | Closure
     plan: RegressorPlan
-    sums: tuple[tuple[float, Indices, Indices], ...]
+    sums: tuple[tuple[int, int, Indices, Indices], ...]
 
     @classmethod
-    def of(cls, model: RobotModel, coupling: Coupling, chosen: Indices, rows: Indices) -> TreeRows:
+    def of(
+        cls, model: RobotModel, coupling: Coupling | Closure, chosen: Indices, rows: Indices
+    ) -> TreeRows:
         """Return the rows for the columns `chosen`, whose rows in joint k are `rows[k]`."""
         inertial = chosen[chosen < _PER_LINK * model.n_links]
         link, parameter = np.divmod(inertial, _PER_LINK)
@@ -107,16 +114,31 @@ class TreeRows:
         )
         sums = []
         for k in range(model.n_joints):
-            for i in np.flatnonzero(coupling.matrix[:, k]):
+            for i in np.flatnonzero(coupling.of_links[coupling.order, k]).tolist():
                 own = np.arange(*plan.bounds[i])
-                sums.append((float(coupling.matrix[i, k]), own, rows[k, inertial[plan.support[i]]]))
+                sums.append((i, k, own, rows[k, inertial[plan.support[i]]]))
         return cls(coupling, plan, tuple(sums))
 
-    def weights(self, weights: Array, n_samples: int) -> Array:
-        """Return weights of the rows of the tree for those of the plan: the adjoint of `A^T`."""
+    def weights(self, weights: Array, shares: Array, n_samples: int) -> Array:
+        """Return weights of the rows of the tree for those of the plan: the adjoint of `G^T`."""
         found = np.zeros((self.plan.n_rows, n_samples))
-        for factor, own, rows in self.sums:
-            found[own] += factor * weights[rows, :n_samples]
+        for i, k, own, rows in self.sums:
+            found[own] += shares[..., i, k] * weights[rows, :n_samples]
+        return found
+
+    def evaluated(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the rows of the tree for the motion of its joints."""
+        out = self.plan.buffer(len(q))
+        self.plan.evaluate(q, qd, qdd, out)
+        return out
+
+    def torn(self, weights: Array, of_tree: Array, n_samples: int) -> Array:
+        """Return the derivative by `G` (N, n_links, n) of the weighted rows; `of_tree` theirs."""
+        found = np.zeros((n_samples, *self.coupling.of_links.shape))
+        for i, k, own, rows in self.sums:
+            found[:, i, k] = np.einsum(
+                "rs,rs->s", of_tree[own, :n_samples], weights[rows, :n_samples]
+            )
         return found
 
 
@@ -265,7 +287,9 @@ class RegressorPlan:
         if coupling is not None:
             evaluate = rigid_body.coupled_rows
             places = np.ascontiguousarray(places[:, coupling.order])
-            robot = *robot, coupling.matrix, coupling.offset, _moves(self.model)
+            moved = coupling.motion(*inputs)
+            inputs = moved.q, moved.qd, moved.qdd
+            robot = *robot, flat(moved.shares), _moves(self.model)
         vectors = [flat(array) for array in inputs]
         rows, width = target.reshape(-1), target.shape[1]
 

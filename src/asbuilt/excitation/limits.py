@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import Joint, RobotModel
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion, read_only
+from asbuilt.findings import Cure
+
+TRIED = 100
+"""Random postures, and postures along the range of a motor, at which loops must close."""
 
 
 @dataclass(frozen=True)
@@ -245,26 +251,89 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
         values["torque"] = rigid + drive_torque(
             drive, drive_values, *state, load=rigid, shares=model.motor_shares
         )
-    margins = []
-    for quantity, x in values.items():
-        high = bounds.upper if quantity == "position" else getattr(bounds, quantity)
-        low = bounds.lower if quantity == "position" else -high
-        for j in np.flatnonzero(np.isfinite(low) | np.isfinite(high)):
-            half = (high[j] - low[j]) / 2 if np.isfinite(high[j] - low[j]) else 1.0
-            slack = np.minimum(high[j] - x[:, j], x[:, j] - low[j])
-            k = int(np.argmin(slack))
-            margins.append(
-                LimitMargin(
-                    quantity=quantity,
-                    joint=model.joint_names[j],
-                    unit=_UNITS[quantity][0 if model.joints[j].is_revolute else 1],
-                    time=float(t[k]),
-                    value=float(x[k, j]),
-                    limit=float(high[j] if high[j] - x[k, j] <= x[k, j] - low[j] else low[j]),
-                    margin=float(slack[k] / half) if half > 0 else float(np.sign(slack[k])),
-                )
-            )
-    return LimitReport(tuple(margins), rate)
+    margins = [
+        found
+        for quantity, x in values.items()
+        for joint, values_of_joint in zip(model.joints, x.T, strict=True)
+        if (found := _margin(joint, quantity, t, values_of_joint)) is not None
+    ]
+    return LimitReport((*margins, *_passive_margins(model, t, values)), rate)
+
+
+def _margin(joint: Joint, quantity: str, t: Array, x: Array) -> LimitMargin | None:
+    """Return the smallest margin of a joint with values (N,) at times t, None without a limit."""
+    limits = joint.limits
+    high = limits.upper if quantity == "position" else getattr(limits, quantity)
+    low = limits.lower if quantity == "position" else -high
+    if not np.isfinite(low) and not np.isfinite(high):
+        return None
+    half = (high - low) / 2 if np.isfinite(high - low) else 1.0
+    slack = np.minimum(high - x, x - low)
+    k = int(np.argmin(slack))
+    return LimitMargin(
+        quantity=quantity,
+        joint=joint.name,
+        unit=_UNITS[quantity][0 if joint.is_revolute else 1],
+        time=float(t[k]),
+        value=float(x[k]),
+        limit=float(high if high - x[k] <= x[k] - low else low),
+        margin=float(slack[k] / half) if half > 0 else float(np.sign(slack[k])),
+    )
+
+
+def _passive_margins(
+    model: RobotModel, t: Array, values: Mapping[str, Array]
+) -> Iterator[LimitMargin]:
+    """Yield margins of passive joints; raises MotionError where loops do not close."""
+    if not model.loops:
+        return
+    try:
+        moved = model.link_motion(*(values[name] for name in QUANTITIES[:3]))
+    except MotionError as error:
+        at = t[error.fields["sample"]]
+        raise MotionError(
+            f"at t = {at:.3f} s {error.message}", cure=error.cure, joint=error.joint, time=at
+        ) from None
+    for k, joint in enumerate(model.followers, start=model.n_joints):
+        for quantity, x in zip(QUANTITIES, (moved.q, moved.qd, moved.qdd), strict=False):
+            found = _margin(joint, quantity, t, x[:, k]) if joint.is_passive else None
+            if found is not None:
+                yield found
+
+
+def refuse_open_postures(model: RobotModel) -> None:
+    """Raise MotionError where the loops do not close everywhere within the limits of the motors.
+
+    A search for a motion may go anywhere there. Corners of the limits are tried, and random
+    postures; limits that the description lacks are the assumed ones.
+    """
+    closure = model.closure
+    if closure is None:
+        return
+    n, bounds = model.n_joints, MotionBounds.assumed(model)
+    low, high = bounds.lower, bounds.upper
+    corners = [np.where(ends, high, low) for ends in product((False, True), repeat=min(n, 7))]
+    corners = corners if n <= 7 else []
+    inside = np.random.default_rng(0).uniform(low, high, (TRIED, n))
+    q = np.vstack([*corners, inside])
+    open_at = np.flatnonzero(~closure.postures(q).closed)
+    if not open_at.size:
+        return
+    home = closure.home[:n]
+    reach = []
+    for j in range(n):
+        line = np.tile(home, (TRIED, 1))
+        line[:, j] = np.linspace(low[j], high[j], TRIED)
+        closed = line[closure.postures(line).closed, j]
+        if len(closed) < TRIED:
+            reach.append(f"{model.joint_names[j]} {closed.min():.4g} to {closed.max():.4g}")
+    alone = f": alone, with the others at the first posture, {', '.join(reach)}" if reach else ""
+    raise MotionError(
+        f"{model.name}: the loops do not close everywhere within the limits of the motors"
+        f" ({open_at.size} of {len(q)} postures), so that no motion can be searched there",
+        cure=Cure(f"narrow the limits of position to where they close{alone}"),
+        joint=next((each.split()[0] for each in reach), model.joint_names[0]),
+    )
 
 
 def _cure(violations: tuple[LimitMargin, ...]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 from asbuilt.dynamics.kernels.lanes import LANES, LARGEST_ANGLE
 from asbuilt.dynamics.kernels.recursion import BLOCK, trigonometry
 

@@ -19,6 +19,7 @@ from asbuilt.description.model import (
     Joint,
     JointLimits,
     Link,
+    Loop,
     MassRange,
     Mimic,
     RobotModel,
@@ -52,6 +53,8 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
         "joints": [_joint_document(joint) for joint in model.joints],
         "followers": [_joint_document(joint) for joint in model.followers],
+        "loops": [_loop_document(loop) for loop in model.loops],
+        "posture": dict(model.posture),
         "links": [_link_document(link) for link in model.links],
         "frames": [
             {"name": frame.name, "link": frame.link, "placement": frame.placement.tolist()}
@@ -71,6 +74,10 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             joints=tuple(_joint(item) for item in document["joints"]),
             followers=tuple(_joint(item) for item in document.get("followers", ())),
             links=tuple(_link(item) for item in document["links"]),
+            loops=tuple(Loop(**item) for item in document.get("loops", ())),
+            posture={
+                str(name): float(value) for name, value in document.get("posture", {}).items()
+            },
             gravity=_array(document["gravity"]),
             root_link=str(document["root_link"]),
             frames=tuple(
@@ -111,6 +118,14 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             f"a robot document cannot be read: {type(problem).__name__} {problem}; expected what"
             " `model_document` returns"
         ) from problem
+
+
+def _loop_document(loop: Loop) -> dict[str, Any]:
+    given = {item.name: getattr(loop, item.name) for item in fields(Loop)}
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in given.items()
+    }
 
 
 def _joint_document(joint: Joint) -> dict[str, Any]:

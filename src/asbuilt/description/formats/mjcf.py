@@ -16,6 +16,10 @@ from asbuilt.arrays import Array
 from asbuilt.description.finite import finite_number
 from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
 from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
+from asbuilt.description.formats.compiled_mjcf.loops import (
+    loops_by_equalities,
+    with_passive_joints,
+)
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import described_text, outermost_tag, parsed_xml
 from asbuilt.description.inertia import LinkInertia
@@ -112,7 +116,10 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
             f"the springs of {', '.join(sprung)} (stiffness) are left out; identify them with the"
             " drive terms auto,spring:joints=..."
         )
-    joints, left_out = coupled_by_equalities(mujoco, compiled, tree.joints)
+    loops, closing = loops_by_equalities(mujoco, compiled, tree.places, tree.joints)
+    joints, left_out = coupled_by_equalities(mujoco, compiled, tree.joints, closing)
+    joints = with_passive_joints(mujoco, compiled, joints, tree.names, loops)
+    rest = compiled.qpos0[compiled.jnt_qposadr] if loops else ()
     if left_out:
         tree.notes.append(
             f"{left_out} equality constraints are left out; every joint counts as driven on its own"
@@ -121,13 +128,15 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
         drives_by_design=False,
         name=root.get("model") or "robot",
         joints=tuple(joints),
+        loops=tuple(loops),
+        posture={joint.name: float(q) for joint, q in zip(tree.joints, rest, strict=False)},
         links=tuple(tree.link(i) for i in range(len(tree.joints))),
         gravity=np.array(compiled.opt.gravity),
         root_link="world",
         frames=tuple(tree.frames),
         source="MJCF text" if source == "the description" else source,
         notes=condensed(tree.notes),
-    )
+    ).closed()
 
 
 def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
@@ -276,6 +285,14 @@ class _Tree:
     notes: list[str] = field(default_factory=list)
     carrier: dict[int, int] = field(default_factory=lambda: {0: ROOT})
     pose: dict[int, Array] = field(default_factory=lambda: {0: np.eye(4)})
+
+    @property
+    def places(self) -> dict[int, tuple[str, Array]]:
+        """The link of each body, and the pose of the body in it."""
+        return {
+            body: ("world" if link == ROOT else self.names[link], self.pose[body])
+            for body, link in self.carrier.items()
+        }
 
     @property
     def actuators(self) -> Actuators:

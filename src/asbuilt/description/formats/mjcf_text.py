@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import Solid, link_solids, stretched_length
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, Joint, RobotModel
+from asbuilt.description.model import ROOT, Joint, Loop, RobotModel
 from asbuilt.description.rotation import quaternion_from_rotation
 from asbuilt.errors import InertiaError
 
@@ -31,7 +33,8 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     `before after`, and the joint's axis and anchor in it are `R_after^T z` and `-R_after^T
     p_after`. Armature, viscous and Coulomb friction become armature, damping and frictionloss; an
     offset has no place in MJCF and is left out. Joints that follow one other do so by an equality,
-    those that follow several by a fixed tendon of constant length. `actuators` adds a torque motor
+    those that follow several by a fixed tendon of constant length. Loops become equalities, and the
+    reference posture of the joints is one at which they are closed. `actuators` adds a torque motor
     per joint, `shapes` rods and housings that neither weigh nor collide.
 
     Raises
@@ -60,9 +63,9 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     if shapes:
         _scene(root, stretched_length(model))
     world = SubElement(root, "worldbody")
-    bodies = {ROOT: world}
+    bodies, at = {ROOT: world}, reference_posture(model)
     for k in model.link_order:
-        bodies[k] = _body(bodies[model.parents[k]], model, k)
+        bodies[k] = _body(bodies[model.parents[k]], model, k, float(at[k]))
     for frame in model.frames:
         SubElement(
             bodies[frame.link],
@@ -72,7 +75,7 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     if shapes:
         for solid in link_solids(model):
             _geom(bodies[solid.link], solid)
-    _add_couplings(root, model)
+    _add_equalities(root, model, at)
     if actuators:
         motors = SubElement(root, "actuator")
         for joint in model.joints:
@@ -83,31 +86,80 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     return tostring(root, encoding="unicode") + "\n"
 
 
-def _add_couplings(root: Element, model: RobotModel) -> None:
+def reference_posture(model: RobotModel) -> Array:
+    """Return where the joints of all links are in the reference posture of the file (n_links,).
+
+    That is zero, or the first posture at which loops are closed.
+    """
+    closure = model.closure
+    if closure is None:
+        return np.zeros(model.n_links)
+    return model.link_positions(closure.home[: model.n_joints])
+
+
+def _add_equalities(root: Element, model: RobotModel, at: Array) -> None:
     tendons, equality = Element("tendon"), Element("equality")
+    rest = {joint.name: float(q) for joint, q in zip(model.moving_joints, at, strict=True)}
     for joint in model.followers:
         assert joint.mimic is not None
         factors, offset = joint.mimic.factors, joint.mimic.offset
         if len(factors) == 1:
             ((other, factor),) = factors.items()
-            names = {"joint1": joint.name, "joint2": other}
-            follows = [offset, factor, 0.0, 0.0, 0.0]
-            SubElement(equality, "joint", {**names, "polycoef": _numbers(follows)})
-            continue
-        name = f"coupling of {joint.name}"
-        tendon = SubElement(tendons, "fixed", name=name)
-        for other, factor in ((joint.name, 1.0), *((k, -f) for k, f in factors.items())):
-            SubElement(tendon, "joint", joint=other, coef=_numbers([factor]))
-        follows = [offset, 0.0, 0.0, 0.0, 0.0]
-        SubElement(equality, "tendon", tendon1=name, polycoef=_numbers(follows))
+            _add_polynomial(equality, (joint.name, other), (offset, factor), rest)
+        elif factors:
+            name = f"coupling of {joint.name}"
+            tendon = SubElement(tendons, "fixed", name=name)
+            terms = {joint.name: 1.0} | {k: -f for k, f in factors.items()}
+            for other, factor in terms.items():
+                SubElement(tendon, "joint", joint=other, coef=_numbers([factor]))
+            offset -= sum(factor * rest[k] for k, factor in terms.items())
+            follows = [offset, 0.0, 0.0, 0.0, 0.0]
+            SubElement(equality, "tendon", tendon1=name, polycoef=_numbers(follows))
+    for loop in model.loops:
+        _add_loop(equality, model, loop, rest)
     root.extend(each for each in (tendons, equality) if len(each))
 
 
-def _body(parent: Element, model: RobotModel, k: int) -> Element:
+def _add_polynomial(
+    equality: Element, joints: Sequence[str], polynomial: Sequence[float], rest: Mapping[str, float]
+) -> None:
+    """Add `y = c_0 + c_1 x + ...`, which MJCF states by distances from the reference posture."""
+    moved = Polynomial(polynomial)
+    if len(joints) > 1:
+        moved = moved(Polynomial([rest[joints[1]], 1.0]))
+    terms = np.zeros(5)
+    terms[: len(moved.coef)] = moved.coef
+    terms[0] -= rest[joints[0]]
+    names = {f"joint{k + 1}": name for k, name in enumerate(joints)}
+    SubElement(equality, "joint", {**names, "polycoef": _numbers(terms)})
+
+
+def _add_loop(equality: Element, model: RobotModel, loop: Loop, rest: Mapping[str, float]) -> None:
+    name = {"name": loop.name} if loop.name else {}
+    if loop.kind == "joint":
+        at = {joint.name_in_tree: joint.name for joint in model.moving_joints}
+        joints = [at.get(joint, joint) for joint in loop.joints]
+        _add_polynomial(equality, joints, loop.polynomial, rest)
+        return
+    ends = [model.place_of(link, point) for link, point in loop.ends]
+    if ends[0][0] == ROOT or (loop.kind == "weld" and ends[1][0] != ROOT):
+        ends.reverse()  # body2 may be left out, the anchor of a weld is in it
+    (one, anchor), (other, point) = ends
+    links = {"body1": model.links[one].name}
+    if other != ROOT:
+        links["body2"] = model.links[other].name
+    if loop.kind == "weld":
+        anchor = point
+    SubElement(equality, loop.kind, {**name, **links, "anchor": _numbers(anchor)})
+
+
+def _body(parent: Element, model: RobotModel, k: int, at: float) -> Element:
     joint, link = model.moving_joints[k], model.links[k]
-    body = SubElement(parent, "body", {"name": link.name, **_pose(joint.before @ joint.after)})
+    pose = joint.before @ joint.moved(at) @ joint.after if at else joint.before @ joint.after
+    body = SubElement(parent, "body", {"name": link.name, **_pose(pose)})
     _inertial(body, link.inertia, f"{model.name}: link {link.name!r}")
-    SubElement(body, "joint", {"name": joint.name, **_joint(joint)})
+    rest = {"ref": _numbers([at])} if at else {}
+    SubElement(body, "joint", {"name": joint.name, **_joint(joint), **rest})
     return body
 
 

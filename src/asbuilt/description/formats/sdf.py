@@ -7,6 +7,7 @@ robot is written anew as URDF, with a massless body at every joint, and read by 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -18,7 +19,7 @@ from asbuilt.description.finite import finite_number
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import close_match, described_text, outermost_tag, parsed_xml
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import Loop, RobotModel
 from asbuilt.description.rotation import (
     composed,
     inverted,
@@ -34,6 +35,8 @@ MODEL = "__model__"
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 MOST_NAMED = 8
 """Frames of a circle that an error names."""
+HINGE = 0.1
+"""Distance of the two points [m] by which a hinge closes a loop."""
 UNLIMITED = 1e15
 """Limits from here on are SDF's way to state none."""
 
@@ -86,7 +89,8 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
     if root.tag != "sdf":
         raise DescriptionError(f"{source}: the outermost element is <{root.tag}>, expected <sdf>")
     model = _only_model(root, source)
-    robot = read_urdf(tostring(_as_urdf(model, source)))
+    closing = _closing_joints(model, source)
+    robot = read_urdf(tostring(_as_urdf(model, source, closing)))
     gravity = root.find("world/gravity")
     turned = np.eye(3) if model.find("pose") is None else _pose(model, source)[:3, :3]
     free_fall = (
@@ -94,7 +98,53 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
         if gravity is None
         else _numbers(gravity.text, 3, f"{source}: <gravity>")
     )
-    return replace(robot, source=source, gravity=turned.T @ free_fall)
+    loops = _loops(closing, _frames(model, source), source)
+    return replace(robot, source=source, gravity=turned.T @ free_fall, loops=loops).closed()
+
+
+def _closing_joints(model: Element, source: str) -> list[Element]:
+    """Return the joints to links that another joint before them moves already: they close loops."""
+    moved, closing = set[str](), list[Element]()
+    for joint in model.findall("joint"):
+        child = _text(joint, "child", source)
+        if child in moved:
+            closing.append(joint)
+        moved.add(child)
+    return closing
+
+
+def _loops(joints: Sequence[Element], frames: _Frames, source: str) -> tuple[Loop, ...]:
+    """Return joints as loops that are closed where all joints are at zero.
+
+    A hinge is two points on its axis.
+    """
+    loops = []
+    for joint in joints:
+        name, kind = str(joint.get("name")), joint.get("type")
+        place = f"{source}, joint {name!r}"
+        links = [_text(joint, side, place) for side in ("parent", "child")]
+        links = [MODEL if link == "world" else link for link in links]
+        at = frames.pose(name)
+        inside = [composed(inverted(frames.pose(link)), at) for link in links]
+        if kind == "fixed":
+            turned = composed(inside[0], inverted(inside[1]))[:3, :3]
+            one, other = (each[:3, 3] for each in inside)
+            loops.append(Loop("weld", links[0], one, links[1], other, turned, name=name))
+            continue
+        if kind not in ("revolute", "continuous", "ball"):
+            raise DescriptionError(
+                f"{place}: it closes a loop, for another joint moves link {links[1]!r} too; such a"
+                f" joint may be revolute, continuous, ball or fixed, not {kind!r}; put it before"
+                " the other one in the file"
+            )
+        axis = joint.find("axis")
+        points = [np.zeros(3)]
+        if kind != "ball" and axis is not None:
+            points.append(HINGE * _direction(axis, frames, name, place))
+        for point in points:
+            one, other = (each[:3, :3] @ point + each[:3, 3] for each in inside)
+            loops.append(Loop("connect", links[0], one, links[1], other, name=name))
+    return tuple(loops)
 
 
 def _only_model(root: Element, source: str) -> Element:
@@ -116,7 +166,7 @@ def _only_model(root: Element, source: str) -> Element:
     return model
 
 
-def _as_urdf(model: Element, source: str) -> Element:
+def _as_urdf(model: Element, source: str, closing: Sequence[Element]) -> Element:
     frames = _frames(model, source)
     robot = Element("robot", name=str(model.get("name") or "robot"))
     children = {_text(joint, "child", source) for joint in model.findall("joint")}
@@ -126,6 +176,8 @@ def _as_urdf(model: Element, source: str) -> Element:
         if link.get("name") not in children:
             _connect(robot, f"{MODEL} {link.get('name')}", MODEL, link.get("name"), "fixed", frames)
     for joint in model.findall("joint"):
+        if joint in closing:
+            continue
         _add_joint(robot, joint, frames, source)
     return robot
 
@@ -183,16 +235,7 @@ def _add_joint(robot: Element, joint: Element, frames: _Frames, source: str) -> 
 def _add_axis(
     written: Element, axis: Element, kind: str, frames: _Frames, name: str, place: str
 ) -> None:
-    xyz = axis.find("xyz")
-    direction = np.array([0.0, 0.0, 1.0])
-    if xyz is not None:
-        direction = _numbers(xyz.text, 3, f"{place}: <xyz>")
-        said = xyz.get("expressed_in")
-        old = _text(axis, "use_parent_model_frame", place, "false") in ("true", "1")
-        if said or old:
-            turned = frames.pose(name)[:3, :3].T @ frames.pose(said or MODEL)[:3, :3]
-            direction = turned @ direction
-    SubElement(written, "axis", xyz=_spaced(direction))
+    SubElement(written, "axis", xyz=_spaced(_direction(axis, frames, name, place)))
     limit, bounds = axis.find("limit"), {}
     for key in ("lower", "upper", "effort", "velocity"):
         value = None if limit is None else limit.find(key)
@@ -209,6 +252,20 @@ def _add_axis(
     if dynamics is not None:
         given = {key: _text(dynamics, key, place, "0") for key in ("damping", "friction")}
         SubElement(written, "dynamics", given)
+
+
+def _direction(axis: Element, frames: _Frames, name: str, place: str) -> Array:
+    """Return the axis of a joint in its own frame."""
+    xyz = axis.find("xyz")
+    direction = np.array([0.0, 0.0, 1.0])
+    if xyz is not None:
+        direction = _numbers(xyz.text, 3, f"{place}: <xyz>")
+        said = xyz.get("expressed_in")
+        old = _text(axis, "use_parent_model_frame", place, "false") in ("true", "1")
+        if said or old:
+            turned = frames.pose(name)[:3, :3].T @ frames.pose(said or MODEL)[:3, :3]
+            direction = turned @ direction
+    return direction
 
 
 def _add_mimic(written: Element, axis: Element, place: str) -> None:

@@ -6,6 +6,7 @@ Denavit-Hartenberg rows or link placements, mass properties, limits, drives, cit
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from asbuilt.description.model import (
     Joint,
     JointLimits,
     Link,
+    Loop,
     Mimic,
     RobotModel,
     Symbols,
@@ -59,11 +61,16 @@ def read_robot_toml(path: str | Path) -> RobotModel:
 
 
 def robot_from_toml(
-    text: str, *, source: str = "TOML text", folder: Path | None = None
+    text: str,
+    *,
+    source: str = "TOML text",
+    folder: Path | None = None,
+    close: bool = True,
 ) -> RobotModel:
     """Read a robot from the text of a TOML file; `source` names it in errors and in the model.
 
-    `folder` is where a description is that the file extends.
+    `folder` is where a description is that the file extends. Loops are closed at once, or when they
+    are first needed, which spares the compiler where robots are only listed.
 
     Raises `DescriptionError` as `read_robot_toml`.
     """
@@ -73,7 +80,8 @@ def robot_from_toml(
         raise DescriptionError(f"{source}: this is not valid TOML: {reason(error)}") from None
     file = checked_file(content, source)
     try:
-        return _extended(file, source, folder) if file.extends else _model(file, source)
+        model = _extended(file, source, folder) if file.extends else _model(file, source)
+        return model.closed() if close else model
     except AsbuiltError as error:
         raise DescriptionError(f"{source}: {error}") from None
 
@@ -234,10 +242,12 @@ def _model(file: RobotFile, source: str) -> RobotModel:
                 placement=reading.placed(frame, f"frame {frame.name!r}", carrier)[0],
             )
         )
-    coupled = coupled_joints(joints, _motors(file), _moved(file))
+    coupled = _with_passive(coupled_joints(joints, _motors(file), _moved(file)), file)
     return RobotModel(
         name=file.name,
         joints=coupled,
+        loops=_loops(file),
+        posture=_posture(file, coupled),
         links=tuple(_link(link) for link in file.links),
         gravity=np.array(file.gravity),
         root_link=file.root_link,
@@ -262,7 +272,7 @@ def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
         raise DescriptionError(f"extends names {path}, which is no description in a known format")
     model = found.read(path)
     every, links, frames = model.in_tree_order()
-    joints = coupled_joints(every, _motors(file), _moved(file))
+    joints = _with_passive(coupled_joints(every, _motors(file), _moved(file)), file)
     said = {
         name: getattr(file, name)
         for name in ("name", "citation", "usual_drive")
@@ -277,6 +287,8 @@ def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
         followers=(),
         links=links,
         frames=frames,
+        loops=(*model.loops, *_loops(file)),
+        posture={**model.posture, **_posture(file, joints)},
         motor_coupling=_motor_coupling(file, [joint.name for joint in joints]),
         notes=(*model.notes, *file.notes),
         source=source,
@@ -310,6 +322,59 @@ def _moved(file: RobotFile) -> dict[str, Mimic]:
             )
         found[name] = Mimic(factors, table.offset)
     return found
+
+
+def _with_passive(joints: Sequence[Joint], file: RobotFile) -> tuple[Joint, ...]:
+    """Return the joints with those that the file names as passive."""
+    names = [joint.name_in_tree for joint in joints]
+    for name in file.passive:
+        if name not in names:
+            raise DescriptionError(
+                f"passive names joint {name!r}, which does not exist; the joints are"
+                f" {', '.join(names)}"
+            )
+    moved = next((j for j in joints if j.name_in_tree in file.passive and j.mimic), None)
+    if moved is not None and not moved.is_passive:
+        raise DescriptionError(
+            f"joint {moved.name_in_tree!r} is passive, but a coupling moves it ({moved.mimic});"
+            " keep one of the two"
+        )
+    return tuple(
+        replace(joint, mimic=Mimic({})) if joint.name_in_tree in file.passive else joint
+        for joint in joints
+    )
+
+
+def _loops(file: RobotFile) -> tuple[Loop, ...]:
+    """Return the loops; angles of `rpy` are in the unit of the file, near right ones exact."""
+    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
+    return tuple(
+        Loop(
+            kind=table.kind,
+            link_a=table.link_a,
+            point_a=np.array(table.point_a),
+            link_b=table.link_b,
+            point_b=np.array(table.point_b),
+            rotation=(
+                snapped(table.rotation)
+                if table.rotation is not None
+                else snapped(rotation_from_rpy([scale * each for each in table.rpy or (0, 0, 0)]))
+            ),
+            joints=table.joints,
+            polynomial=table.polynomial,
+            name=table.name,
+        )
+        for table in file.loops
+    )
+
+
+def _posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
+    """Return the posture at which loops are closed [rad or m], angles of revolute joints scaled."""
+    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
+    slides = {name for j in joints if not j.is_revolute for name in (j.name, j.name_in_tree)}
+    return {
+        name: value * (1.0 if name in slides else scale) for name, value in file.posture.items()
+    }
 
 
 def _mimic(link: LinkTable, file: RobotFile) -> Mimic:

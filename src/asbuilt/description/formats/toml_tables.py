@@ -349,6 +349,41 @@ class CouplingTable(_Table):
         return None
 
 
+class LoopTable(_Table):
+    """A loop: points of two links that coincide, or joints that move together.
+
+    `kind` is connect (points), weld (frames, that of link b turned by `rpy` or `rotation` in that
+    of link a) or joint (the first of `joints` is at a `polynomial` of the second).
+    """
+
+    name: str = ""
+    kind: Literal["connect", "weld", "joint"] = "connect"
+    link_a: str = ""
+    point_a: Vector = (0.0, 0.0, 0.0)
+    link_b: str = ""
+    point_b: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector | None = None
+    rotation: tuple[Vector, Vector, Vector] | None = None
+    joints: tuple[str, ...] = ()
+    polynomial: tuple[Finite, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> LoopTable:
+        given = self.model_fields_set
+        wrong = given & (
+            {"link_a", "point_a", "link_b", "point_b", "rpy", "rotation"}
+            if self.kind == "joint"
+            else {"joints", "polynomial", *(() if self.kind == "weld" else ("rpy", "rotation"))}
+        )
+        if wrong:
+            raise ValueError(f"a loop of kind {self.kind} takes no {', '.join(sorted(wrong))}")
+        if self.kind != "joint" and (missing := {"link_a", "link_b"} - given):
+            raise ValueError(f"{' and '.join(sorted(missing))}: is missing; name the two links")
+        if self.rpy is not None and self.rotation is not None:
+            raise ValueError("give rpy or rotation, not both")
+        return self
+
+
 class RobotFile(_Table):
     """The whole file; with `extends`, what it says beside another description."""
 
@@ -367,6 +402,9 @@ class RobotFile(_Table):
     frames: tuple[FrameTable, ...] = ()
     motors: tuple[MotorTable, ...] = ()
     couplings: tuple[CouplingTable, ...] = ()
+    loops: tuple[LoopTable, ...] = ()
+    passive: tuple[str, ...] = ()
+    posture: dict[str, Finite] = {}
 
     @model_validator(mode="after")
     def _convention_stated(self) -> RobotFile:

@@ -8,7 +8,7 @@ has no coordinate; one that several motors turn (wrists) has one beside others.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,35 @@ from asbuilt.errors import DescriptionError
 
 
 @dataclass(frozen=True, eq=False)
+class TreeMotion:
+    """Hold the motion of the joints of the tree and how the coordinates move them.
+
+    `q`, `qd`, `qdd` are (N, n_links). `shares` G = dq_tree/dq is (n_links, n_joints) where it is
+    constant, else (N, n_links, n_joints).
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    shares: Array
+
+    @property
+    def by_sample(self) -> Array:
+        """The shares with an axis of samples, of length 1 where they are constant."""
+        return self.shares if self.shares.ndim == 3 else self.shares[None]
+
+    def torques(self, tau: Array) -> Array:
+        """Return `G^T tau` (N, n_joints) for torques (N, n_links) at the joints of the tree."""
+        if self.shares.ndim == 2:
+            return np.ascontiguousarray(tau @ self.shares)
+        return np.ascontiguousarray(np.einsum("si,sik->sk", tau, self.shares))
+
+    def matrices(self, of_tree: Array) -> Array:
+        """Return `G^T M G` (N, n_joints, n_joints) for M (N, n_links, n_links) of the tree."""
+        return np.ascontiguousarray(np.swapaxes(self.shares, -1, -2) @ of_tree @ self.shares)
+
+
+@dataclass(frozen=True, eq=False)
 class Coupling:
     """Say how the joints of all links move with the coordinates.
 
@@ -39,6 +68,15 @@ class Coupling:
     matrix: Array
     offset: Array
 
+    def motion(self, q: Array, qd: Array | None = None, qdd: Array | None = None) -> TreeMotion:
+        """Return the motion of the joints of the tree; rates not given are zero."""
+        at = self.positions(q)
+        rates = [np.zeros_like(at) if part is None else self.rates(part) for part in (qd, qdd)]
+        return TreeMotion(at, rates[0], rates[1], self.matrix)
+
+    def derivatives(self, q: Array, qd: Array, qdd: Array) -> None:
+        """Return None: shares do not change with the motion."""
+
     def positions(self, q: Array) -> Array:
         """Return the positions (N, n_links) of the joints of the tree for those (N, n_joints)."""
         return np.ascontiguousarray(q @ self.matrix.T + self.offset)
@@ -46,17 +84,6 @@ class Coupling:
     def rates(self, qd: Array) -> Array:
         """Return velocities or accelerations (N, n_links) of the joints of the tree."""
         return np.ascontiguousarray(qd @ self.matrix.T)
-
-    def torques(self, tau: Array) -> Array:
-        """Return torques (..., n_joints) of the coordinates for those at the joints of the tree.
-
-        Also the derivatives by their positions for those by the positions of the tree.
-        """
-        return np.ascontiguousarray(tau @ self.matrix)
-
-    def matrices(self, of_tree: Array) -> Array:
-        """Return `A^T M A` (..., n_joints, n_joints) for M (..., n_links, n_links) of the tree."""
-        return np.ascontiguousarray(self.matrix.T @ of_tree @ self.matrix)
 
     def parameters(self, chi: Array) -> Array:
         """Return inertial parameters (..., n_links, 10) in the order of the tree."""
@@ -105,12 +132,16 @@ def separated(
     behind = ordered[len(driven) :]
     notes: list[str] = []
     for k, joint in enumerate(behind[: len(moved)]):
+        if joint.is_passive:
+            notes += _passive_notes(joint)
+            behind[k] = replace(joint, drive=DriveValues())
+            continue
         factors, offset = moved_by(robot, joint, ordered)
         notes.append(
             f"joint {joint.name!r} follows {_sum_text(factors, offset)}; it has no drive and needs"
             " no column in a log"
         )
-        if len(factors) == 1:
+        if len(factors) == 1 and next(iter(factors)) in active:
             master, multiplier = next(iter(factors.items()))
             active[master], said = _driving(active[master], joint, multiplier, offset)
             notes += said
@@ -127,6 +158,16 @@ def separated(
         driven=tuple(driven),
         notes=tuple(notes),
     )
+
+
+def _passive_notes(joint: Joint) -> Iterator[str]:
+    """Yield what becomes of a joint that loops move."""
+    yield (
+        f"joint {joint.name!r} is passive: the loops place it; it has no drive and needs no column"
+        " in a log"
+    )
+    if joint.drive != DriveValues():
+        yield f"friction and armature of passive joint {joint.name!r} are left out"
 
 
 def _sum_text(factors: Mapping[str, float], offset: float) -> str:
@@ -147,7 +188,7 @@ def moved_by(
 
     Raises `DescriptionError` where a source does not exist, or joints follow each other in a ring.
     """
-    if joint.mimic is None:
+    if joint.mimic is None or joint.is_passive:
         return {joint.name: 1.0}, 0.0
     if joint.name_in_tree in seen:
         ring = " -> ".join(repr(name) for name in (*seen, joint.name_in_tree))
@@ -155,7 +196,7 @@ def moved_by(
             f"{robot}: joint {seen[0]!r} mimics itself{f' ({ring})' if len(seen) > 1 else ''}; name"
             " the joint it follows"
         )
-    coordinates = {each.name for each in joints if each.has_motor}
+    coordinates = {each.name for each in joints if each.has_motor or each.is_passive}
     others = {each.name_in_tree: each for each in joints}
     found, offset = dict[str, float](), joint.mimic.offset
     for name, factor in joint.mimic.factors.items():
@@ -208,13 +249,8 @@ def coupling_of(robot: str, joints: Sequence[Joint], followers: Sequence[Joint])
 
     Raises `DescriptionError` where some motion of the coordinates moves no link.
     """
-    every, names = (*joints, *followers), [joint.name for joint in joints]
-    order = np.array(tree_order(robot, every, len(joints)), dtype=np.int64)
-    matrix, offset = np.zeros((len(every), len(joints))), np.zeros(len(every))
-    for i, link in enumerate(order.tolist()):
-        factors, offset[i] = moved_by(robot, every[link], every)
-        for name, factor in factors.items():
-            matrix[i, names.index(name)] = factor
+    order, matrix, offset = linear_part(robot, (*joints, *followers), len(joints))
+    names = [joint.name for joint in joints]
     if np.linalg.matrix_rank(matrix) < len(joints):
         still = np.linalg.svd(matrix)[2][-1]
         held = sorted(name for name, share in zip(names, still, strict=True) if abs(share) > 1e-6)
@@ -225,6 +261,22 @@ def coupling_of(robot: str, joints: Sequence[Joint], followers: Sequence[Joint])
     for array in (order, matrix, offset):
         array.setflags(write=False)
     return Coupling(order, matrix, offset)
+
+
+def linear_part(robot: str, every: Sequence[Joint], n: int) -> tuple[Indices, Array, Array]:
+    """Return order, matrix and offset of the joints of all links, of which n have a motor.
+
+    The columns of the matrix are motors, then passive joints.
+    """
+    coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
+    names = {joint.name: k for k, joint in enumerate(coordinates)}
+    order = np.array(tree_order(robot, every, n), dtype=np.int64)
+    matrix, offset = np.zeros((len(every), len(names))), np.zeros(len(every))
+    for i, link in enumerate(order.tolist()):
+        factors, offset[i] = moved_by(robot, every[link], every)
+        for name, factor in factors.items():
+            matrix[i, names[name]] = factor
+    return order, matrix, offset
 
 
 def _driving(

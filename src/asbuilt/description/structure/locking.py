@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.rotation import composed, placement, rotation_z
+from asbuilt.description.rotation import composed
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, Finding, joined
@@ -80,7 +80,7 @@ def merged(
             carrier.append(len(kept) - 1)
             pose.append(np.eye(4))
             continue
-        at = composed(at, joint.before, _motion(joint, values[joint.name]), joint.after)
+        at = composed(at, joint.before, joint.moved(values[joint.name]), joint.after)
         carrier.append(on)
         pose.append(at)
         named.append(Frame(link.name, on, at))
@@ -211,6 +211,13 @@ def locked_positions(
             value=unknown[0],
             available=[*by_name, *locked],
         )
+    placed = [name for name in asked if name in by_name and by_name[name].is_passive]
+    if placed:
+        raise DescriptionError(
+            f"joint {placed[0]!r} cannot be locked: the loops of {robot} place it; lock the motors"
+            " that move it",
+            value=placed[0],
+        )
     for name, value in asked.items():
         if value is not None and not math.isfinite(value):
             raise DescriptionError(f"joint {name!r} cannot be locked at {value}; give a number")
@@ -244,6 +251,7 @@ class _Lock:
                 for joint in by_name.values()
                 if joint.mimic is not None
                 and not joint.has_motor
+                and not joint.is_passive
                 and all(self._is_still(name) for name in joint.mimic.factors)
             }
             - self.held
@@ -293,12 +301,6 @@ class _Lock:
         )
         name = joint.name if joint.name in factors else joint.name_in_tree
         return replace(joint, name=name, mimic=replace(joint.mimic, factors=factors, offset=offset))
-
-
-def _motion(joint: Joint, value: float) -> Array:
-    if joint.is_revolute:
-        return placement(rotation_z(value))
-    return placement(translation=(0.0, 0.0, value))
 
 
 def _with_parts(carrier: Link, link: Link, pose: Array) -> Link:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.rotation import checked_placement
+from asbuilt.description.rotation import checked_placement, placement, rotation_z
 from asbuilt.errors import DescriptionError
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
@@ -169,9 +169,20 @@ class Joint:
         return self.mimic is None or self.name in self.mimic.factors
 
     @property
+    def is_passive(self) -> bool:
+        """Whether neither a motor nor another joint but loops of the robot place it."""
+        return self.mimic is not None and not self.mimic.factors
+
+    @property
     def name_in_tree(self) -> str:
         """Name of the joint itself, where that of its motor is another."""
         return self.name if self.mimic is None else self.mimic.joint or self.name
+
+    def moved(self, position: float) -> Array:
+        """Return the motion (4, 4) at a position [rad or m]."""
+        if self.is_revolute:
+            return placement(rotation_z(position))
+        return placement(translation=(0.0, 0.0, position))
 
     @property
     def is_revolute(self) -> bool:

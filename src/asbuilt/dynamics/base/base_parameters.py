@@ -159,7 +159,7 @@ def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
     with one_blas_thread():
         if by_numbers:
             columns, matrix = numeric_regrouping(model, drive)
-            verdicts = numeric_verdicts(columns, matrix, names)
+            verdicts = numeric_verdicts(model, columns, matrix, names)
         else:
             found = structural_regrouping(model, drive)
             columns, matrix = found.columns, found.matrix

@@ -14,6 +14,7 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base.regrouping import Regrouping
 from asbuilt.dynamics.base.regrouping_relations import RANK_TOLERANCE, row_space
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.kinematics import link_jacobians, link_poses, random_postures
 
 Status = Literal["identifiable", "grouped", "unidentifiable"]
 
@@ -27,6 +28,9 @@ STATEMENTS: dict[Status, str] = {
 SMALL = 1e3 * RANK_TOLERANCE
 """Directions smaller than this count as absent in the sentences, and angles as exact."""
 
+POSTURES = 12
+"""Random postures of a closed chain from which it follows how its links move."""
+SEED = 20153
 LISTED_NAMES = 4
 """So many names are spelt out before a sentence says how many more there are."""
 
@@ -104,9 +108,14 @@ def _shortened(words: Sequence[str]) -> str:
 
 
 def numeric_verdicts(
-    columns: Indices, matrix: Array, names: Sequence[str]
+    model: RobotModel, columns: Indices, matrix: Array, names: Sequence[str]
 ) -> tuple[StandardParameter, ...]:
-    """Return the verdicts that follow from a regrouping matrix alone, without its structure."""
+    """Return the verdicts that follow from a regrouping matrix alone.
+
+    The structure of closed chains adds why: about which axes a link turns, and which loop joins it
+    to links whose masses have the same effect.
+    """
+    views = _closed_views(model)
     reasons: dict[Status, str] = {
         "unidentifiable": "no motion of the joints that have a drive gives it a torque",
         "identifiable": "no other parameter has the same effect on the torques",
@@ -118,10 +127,64 @@ def numeric_verdicts(
         alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
         status: Status = "unidentifiable" if not rows else "identifiable" if alone else "grouped"
         shown = _shown_in(columns, matrix, names, j, rows) if status == "grouped" else ""
-        sentence = f"{name}: {STATEMENTS[status]}: {reasons[status]}{shown}"
+        reason = reasons[status]
+        if views and j < 10 * model.n_links:
+            view = views[j // 10]
+            if status == "unidentifiable" and not model.links[j // 10].negligible:
+                reason = _never(model, view, PARAMETER_NAMES[j % 10])
+            elif status == "grouped":
+                together = np.flatnonzero(matrix[rows].any(axis=0))
+                reason = _in_loop(model, j // 10, together) or reason
+        sentence = f"{name}: {STATEMENTS[status]}: {reason}{shown}"
         members = tuple(int(columns[b]) + 1 for b in rows)
         verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
     return tuple(verdicts)
+
+
+def _closed_views(model: RobotModel) -> list[_LinkView]:
+    """Return how the links of closed chains move, from random postures; none for other robots."""
+    if not model.loops:
+        return []
+    q = random_postures(model, np.random.default_rng(SEED), POSTURES)
+    twists, poses = link_jacobians(model, q), link_poses(model, q)
+    views = []
+    for k in range(model.n_links):
+        own = np.concatenate(list(np.swapaxes(twists[:, k], 1, 2)))
+        directions = row_space(own[:, :3])
+        in_root = row_space(np.concatenate([*(poses[:, k, :3, :3] @ twists[:, k, :3])], axis=1).T)
+        turns, screws = len(directions), len(row_space(own))
+        slope = _slope(model, in_root[0]) if len(in_root) == 1 else ""
+        if turns == 0:
+            phrase = f"link {k + 1} never turns"
+        elif turns == 1:
+            axes = f"{_a(slope)} axis" if screws == 1 and slope else "parallel axes"
+            phrase = f"link {k + 1} only turns about {axes}"
+        else:
+            phrase = f"link {k + 1} turns about axes of {'two' if turns == 2 else 'all'} directions"
+        moves = bool(np.abs(own[:, 3:]).max(initial=0.0) > SMALL)
+        axis = directions[0] if turns == 1 else np.zeros(3)
+        views.append(_LinkView(k + 1, phrase, turns, screws, axis, moves))
+    return views
+
+
+def _in_loop(model: RobotModel, link: int, columns: Indices) -> str:
+    """Return why a parameter of a link in a loop is in a sum with those of others in it, or ""."""
+    others = {int(j) // 10 for j in columns if j < 10 * model.n_links} - {link}
+    for loop in model.loops:
+        if loop.kind == "joint":
+            continue
+        chains = [
+            set(() if at == ROOT else model.ancestors(at))
+            for at in (model.place_of(name)[0] for name, _ in loop.ends)
+        ]
+        inside = chains[0] ^ chains[1]
+        if link in inside and others & inside:
+            held = _listed([str(k + 1) for k in sorted({link, *(others & inside)})])
+            return (
+                f"the {loop} joins links {held}: a mass on a joint between two links of it has the"
+                " same effect on either"
+            )
+    return ""
 
 
 def _shown_in(

@@ -1,4 +1,4 @@
-"""The regrouping of standard into base parameters where joints follow others: by numbers."""
+"""The regrouping of standard into base parameters where others move joints: by numbers."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from asbuilt.dynamics.base.observation_rank import (
 from asbuilt.dynamics.base.regrouping import without_noise
 from asbuilt.dynamics.base.regrouping_relations import reversed_echelon
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.kinematics import random_postures
 from asbuilt.dynamics.regressor import observation_matrix
 
 SEED = 20152
@@ -25,13 +26,13 @@ def numeric_regrouping(model: RobotModel, drive: DriveSet) -> tuple[Indices, Arr
 
     The columns are the first independent ones of an observation matrix of random states, found from
     its null vectors read from the end, as in the structural regrouping. The structure of a tree
-    does not have all of them: a follower moves as no joint of a tree does.
+    does not have all of them: followers and passive joints move as no joint of a tree does.
     """
     drive = DriveSet(tuple(term.typical() for term in drive.terms))
     n, rng = model.n_joints, np.random.default_rng(SEED)
     n_columns = 10 * model.n_links + drive.columns_per_joint * n
     samples = int(np.ceil(2.0 * ROWS_PER_COLUMN * n_columns / n))
-    q = rng.uniform(-np.pi, np.pi, (samples, n))
+    q = random_postures(model, rng, samples)
     qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
     Y = observation_matrix(model, q, qd, qdd, drive=drive)
     Y[:, negligible_columns(model)] = 0.0

@@ -13,6 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
+from asbuilt.dynamics.kinematics import random_postures
 
 ABSENT_COLUMN = 1e-12
 """A column smaller than this, relative to the largest, is rounding noise and counts as zero before
@@ -56,7 +57,7 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     n_columns = first + drive.columns_per_joint * n
     samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
     rng = np.random.default_rng(SEED)
-    q = rng.uniform(-np.pi, np.pi, (samples, n))
+    q = random_postures(model, rng, samples)
     qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
     Y = np.zeros((n, samples, n_columns))
     rigid = Y[:, :, :first]
@@ -64,10 +65,11 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
         _rigid_body_columns(model, q, qd, qdd, rigid)
     else:
         of_tree = np.zeros((model.n_links, samples, first))
-        state = coupling.positions(q), coupling.rates(qd), coupling.rates(qdd)
-        _rigid_body_columns(model.tree, *state, of_tree)
+        moved = coupling.motion(q, qd, qdd)
+        _rigid_body_columns(model.tree, moved.q, moved.qd, moved.qdd, of_tree)
         by_link = of_tree.reshape(model.n_links, samples, -1, 10)[:, :, np.argsort(coupling.order)]
-        rigid[...] = np.einsum("ik,isc->ksc", coupling.matrix, by_link.reshape(of_tree.shape))
+        shares = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
+        rigid[...] = np.einsum("sik,isc->ksc", shares, by_link.reshape(of_tree.shape))
     rigid[:, :, negligible_columns(model)] = 0.0
     load = (
         np.stack([rows @ rng.uniform(0.5, 1.5, first) for rows in rigid], axis=1)

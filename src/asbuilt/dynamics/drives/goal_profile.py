@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 
 FINEST = 1e-3
 """Longest step of the path of a goal [s]."""

@@ -9,7 +9,7 @@ Sample-major arrays come in and go out flat; a call works on samples start ... s
 
 from __future__ import annotations
 
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     BLOCK,

@@ -19,7 +19,7 @@ from numba import types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, lower_builtin, register_model, type_callable
 
-from asbuilt.dynamics.kernels.compilation import part
+from asbuilt.compilation import part
 
 LANES = 8
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 
 
 @part

@@ -20,8 +20,8 @@ from functools import lru_cache
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.compilation import part
 from asbuilt.description.model import ROOT, Geometry, RobotModel
-from asbuilt.dynamics.kernels.compilation import part
 from asbuilt.dynamics.kernels.lanes import (
     LANES,
     LARGEST_ANGLE,

@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.batches import flat, inertial_parameters
-from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,
@@ -41,6 +41,7 @@ from asbuilt.dynamics.kernels.recursion import (
     trigonometry,
     vector,
 )
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 
@@ -83,17 +84,27 @@ def regressor_adjoint(
         else inertial_parameters(plan.model, parameters)
     )
     if plan.tree is not None:
-        coupling, of_tree = plan.tree.coupling, plan.tree.weights(weights, n_samples)
-        position, *others = regressor_adjoint(
-            plan.tree.plan,
-            coupling.positions(states[0]),
-            coupling.rates(states[1]),
-            coupling.rates(states[2]),
-            of_tree,
-            None if loads is None else coupling.rates(lam),
-            coupling.parameters(chi).reshape(-1),
+        tree, coupling = plan.tree, plan.tree.coupling
+        moved, chi = coupling.motion(*states), coupling.parameters(chi).reshape(-1)
+        motion, G = (moved.q, moved.qd, moved.qdd), moved.by_sample
+        parts = regressor_adjoint(
+            tree.plan,
+            *motion,
+            tree.weights(weights, moved.shares, n_samples),
+            None if loads is None else np.einsum("sik,sk->si", G, lam),
+            chi,
         )
-        return coupling.torques(position), coupling.torques(others[0]), coupling.torques(others[1])
+        position, rate, acceleration = (moved.torques(each) for each in parts)
+        if (change := coupling.derivatives(*states)) is not None:
+            by_share = tree.torn(weights, tree.evaluated(*motion), n_samples)
+            if loads is not None:
+                tau = inverse_dynamics(tree.plan.model, *motion, parameters=chi)
+                by_share += tau[:, :, None] * lam[:, None]
+            position += np.einsum("sik,sikj->sj", by_share, change.second)
+            position += np.einsum("si,sij->sj", parts[1], change.turning)
+            position += np.einsum("si,sij->sj", parts[2], change.position)
+            rate += 2.0 * np.einsum("si,sij->sj", parts[2], change.turning)
+        return position, rate, acceleration
     layout = layout_of(plan.model)
     out = tuple(np.empty((n_samples, n)) for _ in range(3))
     _adjoint(

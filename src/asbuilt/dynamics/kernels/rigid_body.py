@@ -10,7 +10,7 @@ threads share one array.
 
 from __future__ import annotations
 
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, load_every, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,
@@ -26,6 +26,7 @@ from asbuilt.dynamics.kernels.recursion import (
     accelerated,
     add,
     cross,
+    gather,
     gather_states,
     into,
     move_link,
@@ -274,34 +275,28 @@ def _write_samples(tile, bounds, columns, block, count, out, width):
 
 
 @part
-def _move_joints(rows, coordinates, angles, matrix, offset):
-    """Write `A q + b`, `A qd` and `A qdd` of a block into the rows of the joints."""
-    n, m = matrix.shape
-    for order in range(3):
-        for i in range(n):
-            row = angles + (order * n + i) * BLOCK
-            for at in range(0, BLOCK, LANES):
-                store(rows, row + at, splat(offset[i] if order == 0 else 0.0))
-            for k in range(m):
-                share, source = matrix[i, k], coordinates + (order * m + k) * BLOCK
-                if share != 0.0:
-                    for at in range(0, BLOCK, LANES):
-                        moved = load(rows, row + at) + load(rows, source + at) * share
-                        store(rows, row + at, moved)
+def _gather_shares(shares, start, count, size, rows, row):
+    """Turn the shares of each sample, or those of all, into `size` rows of a block."""
+    if shares.size > size:
+        gather(shares, start, count, size, rows, row)
+        return
+    for j in range(size):
+        for at in range(0, BLOCK, LANES):
+            store(rows, (row + j) * BLOCK + at, splat(shares[j]))
 
 
 @part
 def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, sine):
     """Carry the screws of the coordinates that move the parent and add the link's own joint's.
 
-    That is `shares[k]` for coordinate k; `above[k]` and `own[k]` say which coordinates move the
-    parent and the link.
+    That is row `shares + k` for coordinate k; `above[k]` and `own[k]` say which coordinates move
+    the parent and the link.
     """
     before, after, revolute = code[BEFORE], code[AFTER], code[REVOLUTE]
-    for k in range(shares.shape[0]):
+    for k in range(own.size):
         if not own[k]:
             continue
-        o, share = (STATE + SCREW * k) * BLOCK, shares[k]
+        o = (STATE + SCREW * k) * BLOCK
         for at in range(0, BLOCK, LANES):
             zx = zy = zz = mx = my = mz = splat(0.0)
             if above[k]:
@@ -320,9 +315,9 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
                     q = load(rows, angle + at)
                     mx, my = mx + zy * q, my - zx * q
             if revolute:
-                zz = zz + splat(share)
+                zz = zz + load(rows, (shares + k) * BLOCK + at)
             else:
-                mz = mz + splat(share)
+                mz = mz + load(rows, (shares + k) * BLOCK + at)
             if after != NOTHING:
                 cx, cy, cz = cross(zx, zy, zz, p[21], p[22], p[23])
                 mx, my, mz = into(after, p, 12, mx + cx, my + cy, mz + cz)
@@ -333,17 +328,15 @@ def _move_screws(code, p, rows, read, write, above, own, shares, angle, cosine, 
 
 
 @part
-def _coupled_block(
-    codes, placements, n_slots, matrix, offset, moves, places, rows, out, stride, start
-):
-    """Run down the tree with the block of coordinates in `rows` and write the chosen columns."""
-    n, m = matrix.shape
+def _coupled_block(codes, placements, n_slots, moves, places, rows, out, stride, start):
+    """Run down the tree with the block of motion in `rows` and write the chosen columns."""
+    n, m = codes.shape[0], moves.shape[1]
     slot = (STATE + SCREW * m) * BLOCK
     terms = n_slots * slot
     angles = terms + TERMS * BLOCK
     cosine = angles + 3 * n * BLOCK
     sine = cosine + BLOCK
-    _move_joints(rows, sine + BLOCK, angles, matrix, offset)
+    shares = sine // BLOCK + 1
     for i in range(n):
         code, p = codes[i], placements[i]
         read, write = code[READ] * slot, code[WRITE] * slot
@@ -353,7 +346,7 @@ def _coupled_block(
             trigonometry(rows, angle, cosine, sine)
         move_link(code, p, rows, read, write, angle, rate, change, cosine, sine)
         above, own = moves[code[PARENT] + 1], moves[i + 1]
-        _move_screws(code, p, rows, read, write, above, own, matrix[i], angle, cosine, sine)
+        _move_screws(code, p, rows, read, write, above, own, shares + i * m, angle, cosine, sine)
         _link_terms(rows, write, terms)
         for k in range(m):
             if own[k]:
@@ -361,15 +354,14 @@ def _coupled_block(
                 _columns_of_link(rows, screw, terms, places[k, i], out, stride, start)
 
 
-@kernel("i2 i2 f2 f1 i f2 f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i")
+@kernel("i2 i2 f2 f1 i f1 b2 i3 i2 i1 f1 f1 f1 i i F1 i")
 def coupled_rows(
     codes,
     chain,
     placements,
     gravity,
     n_slots,
-    matrix,
-    offset,
+    shares,
     moves,
     places,
     bounds,
@@ -384,22 +376,25 @@ def coupled_rows(
 ):
     """Write the regressor as `regressor` does for a tree.
 
-    By virtual work `Y = A^T Y_tree`. The screw by which coordinate k moves a link is the sum of
-    those of the joints above it by the shares `A[j, k]`; the recursion carries these sums instead
-    of a screw per joint. The n joints move by `matrix @ q + offset` with the m coordinates;
-    `moves[i + 1, k]` says whether coordinate k moves link i, and `moves[0]` that none moves the
-    root; `chain` is not needed; `places[k, i, c]` is the row of coordinate k and parameter c of
-    link i of the tree, or -1.
+    By virtual work `Y = G^T Y_tree`. The screw by which coordinate k moves a link is the sum of
+    those of the joints above it by the shares `G[j, k]`; the recursion carries these sums instead
+    of a screw per joint. Motion is that of the n joints; `shares` are G (n, m) in a row, or one
+    after the other those of all samples; `moves[i + 1, k]` says whether coordinate k moves link i,
+    and `moves[0]` that none moves the root; `chain` is not needed; `places[k, i, c]` is the row of
+    coordinate k and parameter c of link i of the tree, or -1.
     """
-    n, m = matrix.shape
+    n, m = codes.shape[0], moves.shape[1]
     by_sample = columns.size > 0
-    known = n_slots * (STATE + SCREW * m) + TERMS + 3 * n + 2
-    rows = scratch(known + 3 * m)
+    angles = n_slots * (STATE + SCREW * m) + TERMS
+    known = angles + 3 * n + 2
+    rows = scratch(known + n * m)
     tile = scratch(bounds[m - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
-        gather_states(q, qd, qdd, block, count, m, rows, known)
+        gather_states(q, qd, qdd, block, count, n, rows, angles)
+        if block == start or shares.size > n * m:
+            _gather_shares(shares, block, count, n * m, rows, known)
         at_once = count == BLOCK and not by_sample
         # one call, which is inlined and compiled once
         target, stride, first = (out, width, block) if at_once else (tile, BLOCK, 0)
@@ -407,8 +402,6 @@ def coupled_rows(
             codes,
             placements,
             n_slots,
-            matrix,
-            offset,
             moves,
             places,
             rows,

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.operations import STACK
 from asbuilt.dynamics.kernels.recursion import (
     AFTER,

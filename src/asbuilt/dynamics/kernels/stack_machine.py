@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.compilation import part
+from asbuilt.compilation import part
 from asbuilt.dynamics.kernels.operations import (
     ABS,
     ACT,

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.compilation import kernel, part
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.batches import flat, joint_samples
-from asbuilt.dynamics.kernels.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.dynamics.kernels.recursion import (
     BLOCK,
@@ -30,6 +30,7 @@ from asbuilt.dynamics.kernels.recursion import (
     trigonometry,
     vector,
 )
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import UsageError
 
 POSE, PLACE, SCREW, TURN, TURN_2, SPEED, CHANGE, MOTION = 0, 9, 12, 18, 24, 30, 36, 42
@@ -72,11 +73,23 @@ def torque_derivatives(
             f" got {sets.shape}"
         )
     if (coupling := model.coupling) is not None:
-        state = coupling.positions(qs), coupling.rates(qds), coupling.rates(qdds)
+        moved = coupling.motion(qs, qds, qdds)
+        state = moved.q, moved.qd, moved.qdd
         in_tree = coupling.parameters(sets.reshape(len(sets), -1, 10)).reshape(len(sets), -1)
         of_tree = torque_derivatives(model.tree, *state, in_tree)
-        E = coupling.matrix
-        return np.asarray(np.einsum("ik,abijo,jl->abklo", E, of_tree, E, optimize=True))
+        G = np.broadcast_to(moved.by_sample, (samples, *moved.by_sample.shape[1:]))
+        found = np.einsum("aik,abijo,ajl->abklo", G, of_tree, G, optimize=True)
+        if (change := coupling.derivatives(qs, qds, qdds)) is not None:
+            by_rate, by_acceleration = of_tree[..., 1], of_tree[..., 2]
+            turned = np.einsum("abij,ajl->abil", by_acceleration, change.turning)
+            moved_on = np.einsum("abij,ajl->abil", by_rate, change.turning)
+            moved_on += np.einsum("abij,ajl->abil", by_acceleration, change.position)
+            found[..., 0] += np.einsum("aik,abil->abkl", G, moved_on)
+            found[..., 1] += 2.0 * np.einsum("aik,abil->abkl", G, turned)
+            for b, chi in enumerate(in_tree):
+                tau = inverse_dynamics(model.tree, *state, parameters=chi)
+                found[:, b, ..., 0] += np.einsum("ai,aikl->akl", tau, change.second)
+        return np.asarray(found)
     layout = layout_of(model)
     out = np.zeros((samples, len(sets), n, n, 3))
     chi = np.ascontiguousarray(sets).reshape(len(sets), n, 10)

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 
 PARALLEL = 1e-12
 """Squared sine of the angle below which segments count as parallel, and squared length [m^2] below

@@ -16,6 +16,7 @@ from asbuilt.excitation.design.fixed_duration import design_fixed
 from asbuilt.excitation.design.multistart import SearchProgress
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.precision import design_for_precision
+from asbuilt.excitation.limits import refuse_open_postures
 from asbuilt.excitation.state_constraint import StateConstraint
 
 
@@ -78,6 +79,7 @@ def design_motion(
     (True, 4.0)
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    refuse_open_postures(model)
     asked = options or DesignOptions()
     kept = constraints_of(
         model, collision=asked.collision, tool_box=asked.tool_box, tool_frame=asked.tool_frame

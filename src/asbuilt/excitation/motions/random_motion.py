@@ -6,7 +6,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
-from asbuilt.excitation.limits import MotionBounds, check_motion
+from asbuilt.excitation.limits import MotionBounds, check_motion, refuse_open_postures
 from asbuilt.excitation.motions.fourier import FourierMotion
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
@@ -47,6 +47,7 @@ def random_fourier(
             f"a Fourier motion needs at least 2 harmonics and 1 period, got {n_harmonics} and"
             f" {periods}"
         )
+    refuse_open_postures(model)
     generator = np.random.default_rng(rng)
     bounds = MotionBounds.assumed(model, fraction)
     rows = generator.normal(size=(2 * n_harmonics - 1, model.n_joints))

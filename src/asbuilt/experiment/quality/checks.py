@@ -18,7 +18,11 @@ from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.command_checks import command_findings
-from asbuilt.experiment.quality.coupling_checks import coupling_findings, encoder_findings
+from asbuilt.experiment.quality.coupling_checks import (
+    closure_findings,
+    coupling_findings,
+    encoder_findings,
+)
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import (
     FirstPass,
@@ -260,16 +264,23 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         beginning = as_modelled(model, credible(first_of(recording, MEASURED)))
         beginning = beginning.with_torque_of(known.has_torque)
         of_commands = list(command_findings(model, beginning))
-        of_torques = [
-            *_findings_in_time(model, chunks, known),
-            *unsigned_findings(model, known.torque_range, beginning),
-        ]
+        of_loops = list(closure_findings(model, beginning))
+        findings += of_loops
+        follows = not any(f.severity == "error" for f in of_loops)
+        of_torques = (
+            [
+                *_findings_in_time(model, chunks, known),
+                *unsigned_findings(model, known.torque_range, beginning),
+            ]
+            if follows
+            else []
+        )
         findings += of_commands
         findings += (f for f in of_torques if not (of_commands and f.code in FROM_COMMANDS))
         noise = PositionNoise.of(beginning)
         findings += position_findings(model, noise)
         findings += encoder_findings(model, beginning)
-        findings += coupling_findings(model, beginning)
+        findings += coupling_findings(model, beginning) if follows else ()
     findings += lock_findings(model.locked_joints, model.held_followers, model.assumed_carriers)
     findings += map(_of_note, known.notes)
     return RecordingCheck(

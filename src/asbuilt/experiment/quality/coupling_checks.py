@@ -24,21 +24,71 @@ class CouplingThresholds:
         Root mean square [rad, m] that the play of a gripper explains.
     share
         Share of the follower's range in the log that it must exceed besides.
+    singular
+        Ratio of singular values of loops below which a posture is near a singular one.
     """
 
     angle: float = 0.02
     length: float = 0.001
     share: float = 0.05
+    singular: float = 0.02
 
 
 THRESHOLDS = CouplingThresholds()
+SAMPLED = 2000
+"""Samples of a log at which loops are looked at."""
 BLOCKS = 10
 """Time blocks from whose scatter the error of a lag follows."""
 
 
+def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Name samples at which the loops do not close, and postures near a singular one."""
+    closure = model.closure
+    if closure is None:
+        return
+    known = np.flatnonzero(np.isfinite(recording.q).all(axis=1))
+    rows = known[:: max(1, known.size // SAMPLED)]
+    at = closure.postures(recording.q[rows])
+    moving = [k for k in range(model.n_joints) if closure.moves_loops(k)]
+    failed = np.flatnonzero(~at.closed)
+    if failed.size:
+        k, first = moving[0], int(failed[0])
+        where = [f"{model.joint_names[j]} at {recording.q[rows[first], j]:.4g}" for j in moving]
+        yield Finding(
+            "loops_open",
+            "error",
+            f"the encoders contradict the loops of the description: they do not close at"
+            f" {recording.t[rows[first]]:.3f} s, with {joined(where, len(where))}"
+            f" ({100.0 * failed.size / rows.size:.3g} % of the samples)",
+            Cure("correct zero positions, signs and units of the log, or the lengths of the links"),
+            joint=model.joint_names[k],
+            time=float(recording.t[rows[first]]),
+        )
+    if not at.closed.any():
+        return
+    nearest = int(np.argmin(np.where(at.closed, at.distance, np.inf)))
+    near = at.distance[nearest] < THRESHOLDS.singular
+    where = [f"{model.joint_names[j]} at {recording.q[rows[nearest], j]:.4g}" for j in moving]
+    yield Finding(
+        "near_singular_posture" if near else "distance_to_singularity",
+        "warning" if near else "info",
+        f"the loops are nearest to a singular posture at {recording.t[rows[nearest]]:.3f} s, with"
+        f" {joined(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of the"
+        " largest"
+        + (
+            "; there small errors of positions make large ones of passive joints and torques"
+            if near
+            else ""
+        ),
+        Cure("keep away from it, or cut these samples out") if near else None,
+        joint=model.joint_names[moving[0]],
+        time=float(recording.t[rows[nearest]]),
+    )
+
+
 def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Compare logged positions of followers with those that follow; name torques not used."""
-    placed, shares = model.link_positions(recording.q), model.link_shares
+    placed, shares = _placed(model, recording.q), model.link_shares
     for k, joint in enumerate(model.followers, start=model.n_joints):
         master = " and ".join(
             name for name, share in zip(model.joint_names, shares[k], strict=True) if share
@@ -54,9 +104,13 @@ def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Findi
                     "coupling_disagrees",
                     "warning",
                     f"{joint.name} is logged {away:.3g} {unit} (root mean square) away from where"
-                    f" {master} puts it by the coupling in the description, with which the torques"
-                    " are computed",
-                    Cure("correct multiplier and offset of the mimic joint in the description"),
+                    f" {master} puts it by the {'loops' if joint.is_passive else 'coupling'} in the"
+                    " description, with which the torques are computed",
+                    Cure(
+                        "correct lengths and zero positions of the loops in the description"
+                        if joint.is_passive
+                        else "correct multiplier and offset of the mimic joint in the description"
+                    ),
                     joint=joint.name,
                 )
         torque = recording.extra.get(f"tau_{joint.name}")
@@ -69,6 +123,14 @@ def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Findi
                 Cure("if it has a drive of its own, remove the mimic from the description"),
                 joint=joint.name,
             )
+
+
+def _placed(model: RobotModel, q: Array) -> Array:
+    """Return the positions of the joints of all links, NaN at samples that have NaN."""
+    known = np.isfinite(q).all(axis=1)
+    placed = np.full((len(q), model.n_links), np.nan)
+    placed[known] = model.link_positions(q[known])
+    return placed
 
 
 @dataclass(frozen=True, slots=True)

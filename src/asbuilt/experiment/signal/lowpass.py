@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 from asbuilt.errors import UsageError
 
 AT_ONCE = 4

@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import as_strided
 from scipy import optimize, signal
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from asbuilt.arrays import Array, Indices, Mask
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording, advancing
 from asbuilt.experiment.signal.bridging import bridged

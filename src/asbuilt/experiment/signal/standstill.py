@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 
 SLOWEST = 0.0015
 """Share of the fastest joint's top speed below which any joint may be at rest, but for `MOVING`."""

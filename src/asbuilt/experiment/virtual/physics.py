@@ -18,6 +18,7 @@ from asbuilt.description.formats.mjcf_text import mjcf_text
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.description.rotation import quaternion_from_rotation, rotation_from_rpy
+from asbuilt.dynamics.kinematics import random_postures
 from asbuilt.dynamics.newton_euler import mass_matrix
 from asbuilt.errors import InertiaError, MissingExtraError
 
@@ -124,7 +125,6 @@ class Physics:
             ]
         )
         self._order = self._every[:n]
-        self._shares = model.link_rates(np.eye(n)).T
         self.compiled.eq_solimp[:] = [
             STIFFNESS.friction_impedance,
             STIFFNESS.friction_impedance,
@@ -164,6 +164,10 @@ class Physics:
             self._mujoco.mj_setConst(self.compiled, self.data)
         leading = np.flatnonzero(np.any(model.link_shares[n:] != 0.0, axis=0))
         coupled = [*range(n, model.n_links), *leading]
+        in_loops = self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_CONNECT
+        in_loops |= self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_WELD
+        held = {*self.compiled.eq_obj1id[in_loops], *self.compiled.eq_obj2id[in_loops]}
+        self.compiled.body_invweight0[sorted(held)] *= STIFFNESS.rigid
         by_tendon = self.compiled.eq_type == self._mujoco.mjtEq.mjEQ_TENDON
         self.compiled.tendon_invweight0[self.compiled.eq_obj1id[by_tendon]] *= STIFFNESS.rigid
         self.compiled.dof_invweight0[self._every[coupled]] *= STIFFNESS.rigid
@@ -194,7 +198,7 @@ class Physics:
 
         Raises InertiaError where one is singular.
         """
-        q = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, self.model.n_joints))
+        q = random_postures(self.model, np.random.default_rng(0), 8)
         masses: Array = mass_matrix(self.model, q) + np.diag(
             self.compiled.dof_armature[self._order]
         )
@@ -226,11 +230,12 @@ class Physics:
         flags = self.compiled.opt.disableflags
         self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         data, every = self.data, self._every
-        for k, (position, velocity, acceleration) in enumerate(zip(*states, strict=True)):
-            self._place(position, velocity)
-            data.qacc[every] = self._shares @ acceleration
+        moved = self.model.link_motion(*states)
+        for k in range(len(torque)):
+            data.qpos[every], data.qvel[every] = moved.q[k], moved.qd[k]
+            data.qacc[every] = moved.qdd[k]
             self._mujoco.mj_inverse(self.compiled, data)
-            torque[k] = data.qfrc_inverse[every] @ self._shares
+            torque[k] = data.qfrc_inverse[every] @ moved.by_sample[k % len(moved.by_sample)]
         self.compiled.opt.disableflags = flags
         return torque
 
@@ -243,14 +248,15 @@ class Physics:
         to overcome: `tau = rigid bodies + armature qdd + friction`.
         """
         acceleration, friction = np.empty(q.shape), np.empty(q.shape)
-        data, order = self.data, self._order
+        data, order, moved = self.data, self._order, self.model.link_motion(q, qd)
         for k in range(len(q)):
-            self._place(q[k], qd[k])
+            data.qpos[self._every], data.qvel[self._every] = moved.q[k], moved.qd[k]
             data.qfrc_applied[order] = tau[k]
             self.rub(coulomb[k], viscous[k])
             self._mujoco.mj_forward(self.compiled, data)
             acceleration[k] = data.qacc[order]
-            friction[k] = -(data.qfrc_constraint + data.qfrc_passive)[self._every] @ self._shares
+            at_joints = -(data.qfrc_constraint + data.qfrc_passive)[self._every]
+            friction[k] = at_joints @ moved.by_sample[k % len(moved.by_sample)]
         return acceleration, friction
 
     @property
@@ -270,8 +276,8 @@ class Physics:
 
     def _place(self, q: Array, qd: Array) -> None:
         """Put the joints of all links where the driven joints are at q with rates qd, two (n,)."""
-        self.data.qpos[self._every] = self.model.link_positions(q)
-        self.data.qvel[self._every] = self.model.link_rates(qd)
+        moved = self.model.link_motion(q[None], qd[None])
+        self.data.qpos[self._every], self.data.qvel[self._every] = moved.q[0], moved.qd[0]
 
     @property
     def state(self) -> tuple[Array, Array]:

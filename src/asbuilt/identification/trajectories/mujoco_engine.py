@@ -121,8 +121,8 @@ class _Engine:
             self.mujoco.mj_stateSize(self.compiled, state.mjSTATE_FULLPHYSICS),
         )
         start = np.zeros((windows.n_windows, size))
-        start[:, 1 + self.every] = model.link_positions(windows.start_q)
-        start[:, 1 + n + self.every] = model.link_rates(windows.start_qd)
+        moved = model.link_motion(windows.start_q, windows.start_qd)
+        start[:, 1 + self.every], start[:, 1 + n + self.every] = moved.q, moved.qd
         control = self._forces(windows.inputs(self.robot.delay, self.robot.lead)[:, :steps])
         data = [self.mujoco.MjData(self.compiled) for _ in range(os.cpu_count() or 1)]
         with rollout.Rollout(nthread=len(data)) as pool:
@@ -140,9 +140,9 @@ class _Engine:
         forces = self._forces(windows.inputs(self.robot.delay, self.robot.lead))
         n_controls = self.compiled.nu
         runs = [self.mujoco.MjData(self.compiled) for _ in range(windows.n_windows)]
-        for run, q, qd in zip(runs, windows.start_q, windows.start_qd, strict=True):
-            run.qpos[self.every] = self.robot.model.link_positions(q)
-            run.qvel[self.every] = self.robot.model.link_rates(qd)
+        moved = self.robot.model.link_motion(windows.start_q, windows.start_qd)
+        for run, q, qd in zip(runs, moved.q, moved.qd, strict=True):
+            run.qpos[self.every], run.qvel[self.every] = q, qd
         shape = (windows.n_windows, steps, len(self.order))
         positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         q, qd, qdd = windows.start_q.copy(), windows.start_qd.copy(), np.zeros_like(windows.start_q)

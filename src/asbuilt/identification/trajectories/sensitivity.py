@@ -271,7 +271,7 @@ class Trajectories:
 
         Empty for a robot whose joints all have a drive.
         """
-        coupling = self.model.coupling
+        coupling = self.model.constant_coupling("simulation of a log")
         if coupling is None:
             return np.empty(0, dtype=np.int64), np.empty(0), np.empty(0)
         moved_by = np.argmax(np.abs(coupling.matrix), axis=1)

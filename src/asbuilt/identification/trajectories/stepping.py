@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from asbuilt.dynamics.kernels.compilation import kernel, part
+from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.operations import STACK
 from asbuilt.dynamics.kernels.recursion import PARENT
 from asbuilt.dynamics.kernels.single_sample import CODES, PER_LINK, mass_matrix, torque

@@ -11,6 +11,7 @@ import numpy as np
 import tomli_w
 
 from asbuilt.arrays import Array
+from asbuilt.description.formats.mjcf_text import reference_posture
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values
 from asbuilt.description.model import (
@@ -18,6 +19,7 @@ from asbuilt.description.model import (
     ROOT,
     Joint,
     Link,
+    Loop,
     Mimic,
     RobotModel,
     Symbols,
@@ -30,6 +32,7 @@ _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 def robot_toml(model: RobotModel) -> str:
     """Return a robot file: rotation matrices, inertias about link origins, full precision."""
+    passive = [joint.name for joint in model.followers if joint.is_passive]
     head = [
         f"name = {_text(model.name)}",
         f"citation = {_text(model.citation)}" if model.citation else "",
@@ -39,12 +42,16 @@ def robot_toml(model: RobotModel) -> str:
         f"root_link = {_text(model.root_link)}",
         f"lengths = {_table(model.lengths)}" if model.lengths else "",
         "" if model.drives_by_design else "drives_by_design = false",
+        f"passive = {_texts(passive)}" if passive else "",
+        f"posture = {_table(_posture(model))}" if model.loops else "",
     ]
     blocks = ["\n".join(line for line in head if line)]
     blocks += [_link_table(model, model.moving_joints[k], model.links[k]) for k in _order(model)]
     moved = [(joint, joint.mimic) for joint in model.moving_joints if joint.mimic is not None]
+    moved = [(joint, mimic) for joint, mimic in moved if not joint.is_passive]
     blocks += [_motor_table(joint) for joint, _ in moved if joint.has_motor]
     blocks += [_coupling_table(joint, mimic) for joint, mimic in moved]
+    blocks += [_loop_table(loop) for loop in model.loops]
     if model.motor_coupling is not None:
         for k, (name, row) in enumerate(zip(model.joint_names, model.motor_coupling, strict=True)):
             if np.array_equal(row, np.eye(model.n_joints)[k]):
@@ -126,6 +133,26 @@ def _motor_table(joint: Joint) -> str:
 def _coupling_table(joint: Joint, mimic: Mimic) -> str:
     lines = ["[[couplings]]", f"{_key(joint.name_in_tree)} = {_table(mimic.factors)}"]
     return "\n".join([*lines, *([f"offset = {_float(mimic.offset)}"] if mimic.offset else [])])
+
+
+def _posture(model: RobotModel) -> dict[str, float]:
+    """Return where all joints are at the posture from which assembly modes are kept."""
+    at = reference_posture(model)
+    return {joint.name_in_tree: float(q) for joint, q in zip(model.moving_joints, at, strict=True)}
+
+
+def _loop_table(loop: Loop) -> str:
+    lines = ["[[loops]]"]
+    lines += [f"name = {_text(loop.name)}"] if loop.name else []
+    lines.append(f"kind = {_text(loop.kind)}")
+    if loop.kind == "joint":
+        lines.append(f"joints = {_texts(loop.joints)}")
+        return "\n".join([*lines, f"polynomial = {_numbers(np.array(loop.polynomial))}"])
+    for side, (link, point) in zip("ab", loop.ends, strict=True):
+        lines += [f"link_{side} = {_text(link)}", f"point_{side} = {_numbers(point)}"]
+    if not np.array_equal(loop.rotation, np.eye(3)):
+        lines.append(f"rotation = [{', '.join(_numbers(row) for row in loop.rotation)}]")
+    return "\n".join(lines)
 
 
 def _drive_fields(joint: Joint) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
@@ -11,14 +12,19 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, Joint, Link, RobotModel
+from asbuilt.description.model import ROOT, Joint, Link, Mimic, RobotModel
 from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
+from asbuilt.dynamics.kinematics import random_postures
 from asbuilt.errors import DescriptionError
-from asbuilt.findings import Cure
+from asbuilt.findings import Cure, joined
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.physical import in_plain_friction, refuse_inconsistent
 from asbuilt.writers.models.urdf_edit import edited_urdf, urdf_notes
 
+PROPORTIONAL = 1e-9
+"""Largest change of a share for which a passive joint counts as one that follows."""
+POSTURES = 20
+"""Random postures between which shares are compared."""
 UNLIMITED = 1e9
 """Value of a required limit that is unknown [rad, m, rad/s, m/s, N m or N]."""
 
@@ -71,7 +77,7 @@ def urdf_text(model: RobotModel) -> str:
 
 def _in_urdf_terms(model: RobotModel) -> RobotModel:
     """Return the robot with a joint for every coordinate, as URDF needs; refuse what it cannot."""
-    model = model.with_rotors
+    model = _without_loops(model).with_rotors
     for joint in model.followers:
         if joint.mimic is not None and len(joint.mimic.factors) > 1:
             raise DescriptionError(
@@ -80,6 +86,40 @@ def _in_urdf_terms(model: RobotModel) -> RobotModel:
                 cure=Cure("write the robot file (.toml) or MJCF (.xml)"),
             )
     return model
+
+
+def _without_loops(model: RobotModel) -> RobotModel:
+    """Return the robot with joints that follow in place of loops, where these have equal sides.
+
+    Raises `DescriptionError` where passive joints do not move in proportion to motors.
+    """
+    if not model.loops:
+        return model
+    q = random_postures(model, np.random.default_rng(0), POSTURES)
+    moved = model.link_motion(q)
+    n, G = model.n_joints, moved.shares[0]
+    joints = list(model.followers)
+    for k, joint in enumerate(joints):
+        if not joint.is_passive:
+            continue
+        if np.ptp(moved.shares[:, n + k], axis=0).max() > PROPORTIONAL:
+            loops = joined([str(loop) for loop in model.loops])
+            raise DescriptionError(
+                f"URDF has no loops, and joint {joint.name!r} of {model.name} does not move in"
+                f" proportion to a motor ({loops})",
+                cure=Cure("write the robot file (.toml) or MJCF (.xml)"),
+                joint=joint.name,
+            )
+        shares = {
+            name: round(float(share), 9)
+            for name, share in zip(model.joint_names, G[n + k], strict=True)
+            if abs(share) > PROPORTIONAL
+        }
+        offset = float(moved.q[0, n + k]) - sum(
+            share * q[0, model.joint_names.index(name)] for name, share in shares.items()
+        )
+        joints[k] = replace(joint, mimic=Mimic(shares, round(offset, 12)))
+    return replace(model, followers=tuple(joints), loops=(), posture={})
 
 
 def write_urdf(

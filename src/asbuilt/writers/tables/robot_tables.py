@@ -75,6 +75,8 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
 def _kind(joint: Joint) -> str:
     if joint.mimic is None or joint.has_motor:
         return joint.kind
+    if joint.is_passive:
+        return "passive"
     return f"follows {' and '.join(joint.mimic.factors)}"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,15 +16,17 @@ Equation = tuple[dict[int, float], float]
 
 
 def coupled_by_equalities(
-    mujoco: Any, compiled: Any, joints: Sequence[Joint]
+    mujoco: Any, compiled: Any, joints: Sequence[Joint], loops: Collection[int] = ()
 ) -> tuple[list[Joint], int]:
     """Return the joints with those that follow others, and the number of equalities left out.
+
+    Those of `loops` are neither.
 
     By an equality of joints the first one follows; by one of tendons the first of its joints that
     has no actuator and follows none yet.
     """
     found, left_out = list(joints), 0
-    for k in range(compiled.neq):
+    for k in sorted({*range(compiled.neq)} - {*loops}):
         equation = _equation(mujoco, compiled, k)
         at = None if equation is None else _follower(mujoco, compiled, found, k, equation[0])
         if equation is None or at is None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.kernels.compilation import kernel
+from asbuilt.compilation import kernel
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ class Mechanism:
     def __init__(self, model: RobotModel, *, at_rest: bool = False, steady: bool = False) -> None:
         """Take joint rates, or not `at_rest`, and accelerations, or not if `steady`."""
         self.model, self.code = model, StraightLine()
-        self.tree, self.coupling = model.tree, model.coupling
+        self.tree, self.coupling = model.tree, model.constant_coupling("C code")
         n = model.n_joints
         self.q = [Term(1.0, f"q[{j}]") for j in range(n)]
         self.qd = [ZERO if at_rest else Term(1.0, f"qd[{j}]") for j in range(n)]

@@ -24,6 +24,10 @@ NUMBERS = {"i": types.int64, "f": types.float64, "b": types.boolean, "a": types.
 OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_rewrites": True}
 """What takes time and serves nothing here: entries for callers in C, fused arrays."""
 
+PACKAGE = Path(__file__).parent
+SHARED_PARTS = PACKAGE / "dynamics" / "kernels"
+"""Folder of the parts that are inlined into kernels of other folders."""
+
 
 class MachineCodeFiles(IndexDataCacheFile):
     """Keep the machine code of a function for several processes that compile it at once.
@@ -76,8 +80,9 @@ class Kernel(CPUDispatcher):
         self.declared = types_of(signature)
         try:
             self.enable_caching()
-            sources = source_digest(Path(__file__).parent)
-            self._cache._cache_file = MachineCodeFiles(self._cache._cache_file, sources)
+            own = Path(function.__code__.co_filename).parent
+            sources = [source_digest(folder) for folder in (PACKAGE, SHARED_PARTS, own)]
+            self._cache._cache_file = MachineCodeFiles(self._cache._cache_file, "".join(sources))
         except (RuntimeError, AttributeError):
             self._cache = NullCache()
         KERNELS.append(self)
@@ -132,7 +137,7 @@ def kernel(
 
     Numba takes kept code for current as long as the file of the function itself is unchanged,
     though functions of other files are inlined into it. Here the sources of all compiled functions
-    beside this file count too; where Numba does not let them, nothing is kept.
+    in its folder and in `SHARED_PARTS` count too; where Numba does not let them, nothing is kept.
     """
     options = OPTIONS | {"nopython": True, "nogil": nogil, "fastmath": fastmath}
     return lambda function: Kernel(function, signature, options)
@@ -146,10 +151,9 @@ def part(function: Callable[..., Any]) -> Any:
 
 def compile_kernels(report: Callable[[float], None]) -> None:
     """Compile all kernels of the package that are not on disk; `report` tells the fraction done."""
-    root = Path(__file__).parents[2]
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted(PACKAGE.rglob("*.py")):
         if b"\n@kernel(" in path.read_bytes():
-            import_module(".".join(path.relative_to(root.parent).with_suffix("").parts))
+            import_module(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts))
     missing = [each for each in KERNELS if not each.is_on_disk()]
     for count, each in enumerate(missing):
         report(count / len(missing))
@@ -203,6 +207,6 @@ def source_digest(folder: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):
         source = path.read_bytes()
-        if b"kernels.compilation" in source or b"numba" in source:
+        if b"asbuilt.compilation" in source or b"numba" in source:
             digest.update(hashlib.sha256(source).digest())
     return digest.hexdigest()

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from asbuilt.dynamics.kernels import compilation
-from asbuilt.dynamics.kernels.compilation import (
+from asbuilt import compilation
+from asbuilt.compilation import (
     Kernel,
     MachineCodeFiles,
     announced_by,
@@ -25,8 +25,7 @@ def fresh_twice(folder: Path):
     """Import a compiled function anew, as another run would."""
     path = folder / "toy.py"
     path.write_text(
-        "from asbuilt.dynamics.kernels.compilation import kernel\n\n@kernel('i')\ndef twice(x):\n "
-        "   return 2 * x\n"
+        "from asbuilt.compilation import kernel\n\n@kernel('i')\ndef twice(x):\n    return 2 * x\n"
     )
     specification = importlib.util.spec_from_file_location("toy", path)
     module = importlib.util.module_from_spec(specification)
@@ -53,7 +52,6 @@ def test_code_is_kept_until_a_source_beside_it_changes(
         "rigid_body.py",
         "joint_space.py",
         "regressor_adjoint.py",
-        "compilation.py",
     ],
 )
 def test_every_source_of_kernels_counts_and_no_other(tmp_path: Path, name: str) -> None:
@@ -61,7 +59,7 @@ def test_every_source_of_kernels_counts_and_no_other(tmp_path: Path, name: str) 
     for changed in ("nothing.py", name, "newton_euler.py"):
         folder = tmp_path / changed
         shutil.copytree(
-            Path(compilation.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__")
+            compilation.SHARED_PARTS, folder, ignore=shutil.ignore_patterns("__pycache__")
         )
         with (folder / changed).open("a") as file:
             file.write("# a change\n")

@@ -1,0 +1,457 @@
+"""Closed chains: `q_tree = f(q)` of motors by the equations of loops, and `G = df/dq`."""
+
+# mypy: allow-untyped-calls
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
+from asbuilt.description.structure.couplings import TreeMotion, linear_part
+from asbuilt.description.structure.locking import usual_position
+from asbuilt.description.structure.loop_equations import loop_equations
+from asbuilt.description.structure.loops import (
+    JOINT,
+    ROWS,
+    SIZE,
+    Loop,
+    LoopNumbers,
+    loop_numbers,
+)
+from asbuilt.description.structure.parts import ROOT, Frame, Joint
+from asbuilt.errors import DescriptionError, MotionError
+from asbuilt.findings import Cure, joined
+
+CLOSED = 1e-4
+"""Largest gap of a loop at the first posture, in its size or rad: numbers of four digits."""
+KEPT = 10.0
+"""Factor by which the gap may grow from there."""
+ROUNDING = 1e-9
+"""Gap that rounding may leave, and share of a motor's motion that tears a loop."""
+EXAMPLES = 16
+"""Postures about the first from which it follows which motors move which joints."""
+NEAR = 0.3
+"""How far they are from it [rad, or share of a loop's size]."""
+SEEN = 1e-6
+"""Singular values below this share of the derivative of the loops count as none."""
+DIFFERENCE = 1e-5
+"""Half width of central differences [rad, or share of a loop's size]: cube root of rounding."""
+UNMOVED = 1e-9
+"""Share below which a motor does not move a joint."""
+SEED = 26
+
+
+@dataclass(frozen=True, eq=False)
+class Postures:
+    """Hold how well loops close at N positions of the motors.
+
+    `gap` (N,) is the largest distance [m] (angle [rad] for joints) that stays open, `closed` (N,)
+    whether that is within tolerance, and `distance` (N,) the smallest singular value of the
+    derivative by passive joints, relative to the largest: 0 at a singular posture.
+    """
+
+    gap: Array
+    closed: NDArray[np.bool_]
+    distance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ShareDerivatives:
+    """Hold derivatives of the motion of the joints of the tree by that of the motors.
+
+    `second` (N, n_links, n, n) are those of f, `d^2 f_i / dq_j dq_k`; `turning` (N, n_links, n) is
+    dG/dt, so that d qd_tree/dq is `turning` and d qdd_tree/dqd twice that; `position` (N, n_links,
+    n) is d qdd_tree/dq.
+    """
+
+    second: Array
+    turning: Array
+    position: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Closure:
+    """Say how motors move the joints of all links where loops place some of them.
+
+    The joints of the tree, links in `order`, are at `linear @ (q, p) + offset` for motors q and
+    passive joints p, which the loops place. `home` (n + n_passive,) is the posture from which
+    assembly modes are kept. `of_links` (n_links, n_joints) are typical sizes of G by link, 0 where
+    a motor does not move a joint.
+    """
+
+    robot: str
+    loops: tuple[Loop, ...]
+    names: tuple[str, ...]
+    order: Indices
+    linear: Array
+    offset: Array
+    numbers: LoopNumbers
+    arrays: tuple[Array | Indices, ...]
+    scale: Array
+    home: Array
+    tolerance: float
+    of_links: Array
+
+    @property
+    def n_joints(self) -> int:
+        """Number of motors."""
+        return int(self.of_links.shape[1])
+
+    def motion(self, q: Array, qd: Array | None = None, qdd: Array | None = None) -> TreeMotion:
+        """Return the motion of the joints of the tree for motors (N, n); rates not given are zero.
+
+        Raises `MotionError` where the loops do not close, or a posture is singular.
+        """
+        motion, quality = self._follow(q, qd, qdd)
+        failed = np.flatnonzero(quality[:, 2] == 0.0)
+        if failed.size:
+            raise self._error(q, int(failed[0]), failed.size, quality[failed[0], 1])
+        return motion
+
+    def derivatives(self, q: Array, qd: Array, qdd: Array) -> ShareDerivatives:
+        """Return derivatives of `motion` at states (N, n).
+
+        `qdd_tree - G qdd` is a quadratic form of velocities with the second derivatives of f as its
+        matrix, so that these are exact differences of it. The third ones are central differences.
+        """
+        n, still = self.n_joints, np.zeros_like(q)
+        units = np.broadcast_to(np.eye(n)[:, None], (n, *q.shape))
+        alone = [self.motion(q, unit, still).qdd for unit in units]
+        second = np.empty((*alone[0].shape, n, n))
+        for j in range(n):
+            second[..., j, j] = alone[j]
+            for k in range(j):
+                both = self.motion(q, units[j] + units[k], still).qdd
+                second[..., j, k] = second[..., k, j] = 0.5 * (both - alone[j] - alone[k])
+        position = np.empty((*alone[0].shape, n))
+        for j, step in enumerate(DIFFERENCE * self.scale[:n]):
+            ahead, behind = (self.motion(q + by * units[j], qd, qdd).qdd for by in (step, -step))
+            position[..., j] = (ahead - behind) / (2.0 * step)
+        return ShareDerivatives(second, np.einsum("sijk,sk->sij", second, qd), position)
+
+    def positions(self, q: Array) -> Array:
+        """Return the positions (N, n_links) of the joints of the tree."""
+        return self.motion(q).q
+
+    def parameters(self, chi: Array) -> Array:
+        """Return inertial parameters (..., n_links, 10) in the order of the tree."""
+        return np.ascontiguousarray(chi[..., self.order, :])
+
+    def postures(self, q: Array) -> Postures:
+        """Return how well the loops close at positions of the motors (N, n)."""
+        motion, quality = self._follow(q, None, None)
+        closed = quality[:, 2] > 0.0
+        gap, distance = quality[:, 0].copy(), np.zeros(len(q))
+        n = self.n_joints
+        for k in np.flatnonzero(closed):
+            equations = self.equations(self._coordinates(q[k], motion.q[k]))
+            gap[k] = max(self.gaps(equations))
+            sizes = np.linalg.svd(equations[:, n:-2] * self.scale[n:], compute_uv=False)
+            distance[k] = sizes[-1] / sizes[0]
+        return Postures(gap, closed, distance)
+
+    def equations(self, u: Array) -> Array:
+        """Return J and phi (rows, n_u + 2) at coordinates u, the last column zero."""
+        rows = sum(ROWS[kind] for kind in self.numbers.kinds.tolist())
+        found = np.zeros((rows, u.size + 2))
+        loop_equations(*self.arrays, np.ascontiguousarray(u), found)
+        return found
+
+    def gaps(self, equations: Array) -> list[float]:
+        """Return the gap of each loop [m, rad for joints]."""
+        found, row = [], 0
+        for kind, given in zip(self.numbers.kinds.tolist(), self.numbers.numbers, strict=True):
+            count = ROWS[kind]
+            size = 1.0 if kind == JOINT else float(given[SIZE])
+            phi = equations[row : row + count, -2]
+            found.append(size * float(np.abs(phi).max()))
+            row += count
+        return found
+
+    def moves_loops(self, motor: int) -> bool:
+        """Return whether a motor moves a joint that loops place."""
+        loops = set(self.order[self.numbers.joints].tolist())
+        return bool(np.any(self.of_links[sorted(loops), motor]))
+
+    def _coordinates(self, q: Array, at: Array) -> Array:
+        """Return (q, p) for motors (n,) and the joints of the tree (n_links,)."""
+        known = np.linalg.lstsq(self.linear, at - self.offset, rcond=None)[0]
+        known[: q.size] = q
+        return np.asarray(known, dtype=np.float64)
+
+    def _follow(self, q: Array, qd: Array | None, qdd: Array | None) -> tuple[TreeMotion, Array]:
+        given = np.ascontiguousarray(q, dtype=np.float64)
+        rates = [
+            np.zeros_like(given) if part is None else np.ascontiguousarray(part)
+            for part in (qd, qdd)
+        ]
+        return _run(self.arrays, self.scale, self.home, self.tolerance, False, given, *rates)
+
+    def _error(self, q: Array, sample: int, count: int, pivot: float) -> MotionError:
+        """Return the error for a posture that does not close."""
+        own = [k for k in range(self.n_joints) if self.moves_loops(k)]
+        at = joined([f"{self.names[k]} = {q[sample, k]:.6g}" for k in own], len(own))
+        what = (
+            "is singular: motors do not place all passive joints"
+            if pivot <= SINGULAR
+            else "closes no loop: out of reach, or beyond a singular posture"
+        )
+        more = f", and {count - 1} more" if count > 1 else ""
+        return MotionError(
+            f"{self.robot}: the posture at {at} (sample {sample}{more}) {what}",
+            cure=Cure(
+                "keep the motors where the loops close (limits), or correct zero positions, points"
+                " of the loops and the posture of the description"
+            ),
+            sample=sample,
+            joint=self.names[own[0]],
+        )
+
+
+def _run(
+    arrays: tuple[Array | Indices, ...],
+    scale: Array,
+    home: Array,
+    tolerance: float,
+    search: bool,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+) -> tuple[TreeMotion, Array]:
+    samples, n = q.shape
+    n_tree = arrays[-1].size
+    at, rates, accelerations = (np.zeros((samples, n_tree)) for _ in range(3))
+    shares, quality = np.zeros((samples, n_tree, n)), np.zeros((samples, 3))
+    out = at, rates, accelerations, shares, quality
+    close_loops(*arrays, scale, home, tolerance, search, q, qd, qdd, *out)
+    return TreeMotion(at, rates, accelerations, shares), quality
+
+
+def closure_of(
+    robot: str,
+    joints: Sequence[Joint],
+    followers: Sequence[Joint],
+    loops: Sequence[Loop],
+    posture: Mapping[str, float],
+    links: Mapping[str, int],
+    frames: Sequence[Frame],
+) -> Closure:
+    """Return how the motors `joints` move the joints of all links through loops.
+
+    `links` has the link of each name, `ROOT` for the root; `posture` positions of joints at which
+    the loops are closed, roughly, others being where they usually are. Raises `DescriptionError`
+    where the loops do not close, leave a passive joint free, or are torn by a motor.
+    """
+    every = (*joints, *followers)
+    found = _open(robot, every, len(joints), loops, posture, links, frames)
+    n = len(joints)
+    motion, quality = _run(
+        found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
+        *np.zeros((2, 1, n)),
+    )  # fmt: skip
+    at = found._coordinates(found.home[:n], motion.q[0])
+    _check_closed(found, at, quality[0])
+    gap = float(quality[0, 0])
+    found = replace(found, home=at, tolerance=max(ROUNDING, KEPT * gap))
+    return _with_typical_shares(found)
+
+
+def _open(
+    robot: str,
+    every: Sequence[Joint],
+    n: int,
+    loops: Sequence[Loop],
+    posture: Mapping[str, float],
+    links: Mapping[str, int],
+    frames: Sequence[Frame],
+) -> Closure:
+    """Return a closure that has not been closed yet, at the posture of the description."""
+    order, linear, offset = linear_part(robot, every, n)
+    place = {int(link): k for k, link in enumerate(order)} | {ROOT: ROOT}
+    tree = [replace(every[k], parent=place[every[k].parent]) for k in order.tolist()]
+    numbers = loop_numbers(
+        robot,
+        loops,
+        tree,
+        {name: place[link] for name, link in links.items()},
+        [replace(frame, link=place[frame.link]) for frame in frames],
+    )
+    coordinates = [*every[:n], *(joint for joint in every[n:] if joint.is_passive)]
+    known = {joint.name for joint in every} | {joint.name_in_tree for joint in every}
+    if unknown := sorted(posture.keys() - known):
+        raise DescriptionError(
+            f"{robot}: the posture names joint {unknown[0]!r}, which does not exist; the joints are"
+            f" {', '.join(joint.name for joint in every)}"
+        )
+    home = np.array(
+        [
+            posture.get(joint.name, posture.get(joint.name_in_tree, usual_position(joint.limits)))
+            for joint in coordinates
+        ]
+    )
+    sizes = np.where(numbers.kinds == JOINT, 0.0, numbers.numbers[:, SIZE])
+    size = float(sizes.max(initial=0.0)) or 1.0
+    scale = np.array([1.0 if joint.is_revolute else size for joint in coordinates])
+    first = np.concatenate([[0], np.cumsum(np.count_nonzero(linear, axis=1))]).astype(np.int64)
+    at, column = np.nonzero(linear)
+    sources = np.column_stack([column.astype(np.float64), linear[at, column]])
+    arrays = (
+        numbers.kinds,
+        numbers.paths,
+        numbers.numbers,
+        np.array(
+            [
+                np.concatenate([side[part].ravel() for side in (joint.before, joint.after)
+                                for part in (np.s_[:3, :3], np.s_[:3, 3])])
+                for joint in tree
+            ]
+        ),
+        np.array([joint.is_revolute for joint in tree]),
+        sources,
+        first,
+        offset,
+    )  # fmt: skip
+    for array in (*arrays, order, linear, scale):
+        array.setflags(write=False)
+    return Closure(
+        robot,
+        tuple(loops),
+        tuple(joint.name for joint in coordinates),
+        order,
+        linear,
+        offset,
+        numbers,
+        arrays,
+        scale,
+        home,
+        np.inf,
+        np.zeros((len(tree), n)),
+    )
+
+
+def _check_closed(found: Closure, u: Array, quality: Array) -> None:
+    """Raise `DescriptionError` where the loops stay open, or leave a passive joint free."""
+    n, robot = found.n_joints, found.robot
+    equations = found.equations(u)
+    gaps = found.gaps(equations)
+    if np.abs(equations[:, -2]).max() > CLOSED or not np.isfinite(gaps).all():
+        worst = int(np.argmax(gaps))
+        kind = found.numbers.kinds[worst]
+        gap = f"{gaps[worst]:.3g} rad" if kind == JOINT else f"{1e3 * gaps[worst]:.3g} mm"
+        raise DescriptionError(
+            f"{robot}: the {found.loops[worst]} does not close: a gap of {gap} stays at the first"
+            f" posture ({_listed(found, u)}); check lengths and points, or give a posture nearer"
+            " to a closed one",
+            gap=gaps[worst],
+        )
+    if quality[2] > 0.0:
+        return
+    away = u + np.random.default_rng(SEED).uniform(-NEAR, NEAR, u.size) * found.scale
+    sizes, free = _still_free(found.equations(away)[:, n:-2] * found.scale[n:])
+    if sizes:
+        names = [found.names[n + k] for k in free]
+        raise DescriptionError(
+            f"{robot}: the loops leave passive joints free ({joined(names, len(names))}): the"
+            f" chains have {sizes} freedom{'s' if sizes > 1 else ''} more than motors; name a joint"
+            " of them that has a motor, or another loop"
+        )
+    raise DescriptionError(
+        f"{robot}: the first posture ({_listed(found, u)}) is singular: there the motors do not"
+        " place all passive joints; give a posture away from it"
+    )
+
+
+def _still_free(J: Array) -> tuple[int, list[int]]:
+    """Return the number of directions that J does not see, and the columns that take part."""
+    _, sizes, rows = np.linalg.svd(J)
+    seen = int(np.sum(sizes > ROUNDING * sizes.max(initial=0.0)))
+    null = rows[seen:]
+    return len(null), np.flatnonzero(np.abs(null).max(axis=0, initial=0.0) > SEEN).tolist()
+
+
+def _listed(found: Closure, u: Array) -> str:
+    return ", ".join(f"{name} = {value:.4g}" for name, value in zip(found.names, u, strict=True))
+
+
+def _with_typical_shares(found: Closure) -> Closure:
+    """Return the closure with typical sizes of G, from postures about the first.
+
+    Raises `DescriptionError` where a motor tears the loops.
+    """
+    n = found.n_joints
+    rng = np.random.default_rng(SEED)
+    around = rng.uniform(-NEAR, NEAR, (EXAMPLES, n)) * found.scale[:n]
+    q = np.vstack([found.home[:n], found.home[:n] + around])
+    motion, quality = found._follow(q, None, None)
+    good = quality[:, 2] > 0.0
+    if np.count_nonzero(good) < 2:
+        small = 1e-3 * around
+        motion, quality = found._follow(found.home[:n] + small, None, None)
+        good = quality[:, 2] > 0.0
+    _check_motors(found)
+    examples = motion.shares[good]
+    shares = np.sqrt(np.mean(examples**2, axis=0))
+    shares = np.where(np.ptp(examples, axis=0) < UNMOVED, examples[0], shares)
+    shares[np.abs(shares) < UNMOVED] = 0.0
+    of_links = shares[np.argsort(found.order)]
+    of_links.setflags(write=False)
+    return replace(found, of_links=of_links)
+
+
+def _check_motors(found: Closure) -> None:
+    """Raise `DescriptionError` where the loops do not let motors move one by one."""
+    n = found.n_joints
+    J = found.equations(found.home)[:, :-2] * found.scale
+    moves = -np.linalg.lstsq(J[:, n:], J[:, :n], rcond=None)[0]
+    torn = np.linalg.norm(J[:, :n] + J[:, n:] @ moves, axis=0)
+    size = float(np.linalg.norm(J, axis=0).max())
+    at = np.flatnonzero(torn > SEEN * size)
+    if at.size:
+        names = [found.names[k] for k in at]
+        raise DescriptionError(
+            f"{found.robot}: the loops do not let {joined(names, len(names))} move: more motors"
+            " than the chains have freedoms; name the joints that have no motor as passive"
+        )
+
+
+def passive_joints(
+    robot: str,
+    joints: Sequence[Joint],
+    followers: Sequence[Joint],
+    loops: Sequence[Loop],
+    posture: Mapping[str, float],
+    links: Mapping[str, int],
+    frames: Sequence[Frame],
+) -> list[str]:
+    """Return joints of loops that have no motor, where the description does not name them.
+
+    As many as the loops place: joints without limits of torque and drive first, then those far from
+    the root, as long as the loops determine them.
+    """
+    found = _open(robot, (*joints, *followers), len(joints), loops, posture, links, frames)
+    u = found.home.copy()
+    for _ in range(SEARCH):  # Newton with the least motion of all joints
+        equations = found.equations(u)
+        step = np.linalg.lstsq(equations[:, :-2] * found.scale, equations[:, -2], rcond=1e-8)[0]
+        u -= found.scale * step * min(1.0, FARTHEST / max(float(np.abs(step).max()), ROUNDING))
+    J = found.equations(u)[:, :-2] * found.scale
+    rank = int(np.linalg.matrix_rank(J, tol=SEEN * np.linalg.norm(J)))
+    depth = {int(link): k for k, link in enumerate(found.order)}
+    chosen: list[int] = []
+    for k in sorted(range(len(joints)), key=lambda k: (_is_driven(joints[k]), -depth[k])):
+        taken = J[:, [*chosen, k]]
+        if len(chosen) < rank and np.linalg.matrix_rank(taken, tol=SEEN) == len(chosen) + 1:
+            chosen.append(k)
+    return [joints[k].name for k in sorted(chosen)]
+
+
+def _is_driven(joint: Joint) -> bool:
+    """Return whether the description gives a joint a drive."""
+    drive = joint.drive
+    stated = drive.gear_ratio is not None or drive.kp is not None or bool(drive.armature)
+    return stated or bool(np.isfinite(joint.limits.torque))

@@ -1,0 +1,297 @@
+"""Positions of passive joints along a motion, by Newton's method, and how motors move them.
+
+With coordinates u = (q, p) of motors and passive joints, the equations `phi(u) = 0` of the loops
+and their derivative `J = (J_q, J_p)`
+
+    p' = p - J_p^+ phi                      a step of Newton, J_p^+ by Householder's QR
+    dp/dq = -J_p^+ J_q                      how motors move passive joints
+    pdd = -J_p^+ (J_q qdd + dJ/dt ud)
+"""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from asbuilt.compilation import kernel, part
+from asbuilt.description.structure.loop_equations import (
+    assemble,
+    into_tree,
+    room_for,
+    rows_of,
+)
+
+NEWTON = 12
+"""Most steps of Newton; from a sample to the next it takes two."""
+SEARCH = 200
+"""Most steps towards the first closed posture, each shortened to `FARTHEST`."""
+CONVERGED = 1e-8
+"""Correction after which the next is rounding, as Newton's are squared at each step [rad]."""
+FARTHEST = 0.25
+"""Largest correction [rad, or share of the loop's size] that keeps the assembly mode."""
+STRIDE = 0.1
+"""Longest step of a motor [rad, or share of the loop's size] from a closed posture."""
+SHORTEST = 1e-6
+"""Steps of this size that do not close end at the reach of the mechanism, or at a singularity."""
+SINGULAR = 1e-9
+"""Ratio of the pivots of J_p at which some passive joint is not determined by the loops."""
+
+
+@part
+def _reduce(work, rows, first, count, order):
+    """Bring columns first ... first + count - 1 to triangular form, others turned along.
+
+    Householder reflections with pivots; `order` takes the columns in the order of the pivots.
+    Returns the ratio of the last pivot to the first, 0 where there are fewer rows than columns.
+    """
+    width = work.shape[1]
+    largest, smallest = 0.0, 0.0
+    for k in range(count):
+        order[k] = k
+    if rows < count:
+        return 0.0
+    for k in range(count):
+        best, most = k, -1.0
+        for j in range(k, count):
+            total = 0.0
+            for i in range(k, rows):
+                total += work[i, first + j] ** 2
+            if total > most:
+                best, most = j, total
+        if best != k:
+            order[k], order[best] = order[best], order[k]
+            for i in range(rows):
+                work[i, first + k], work[i, first + best] = (
+                    work[i, first + best],
+                    work[i, first + k],
+                )
+        norm = math.sqrt(most)
+        largest = max(largest, norm)
+        smallest = norm
+        if norm <= SINGULAR * largest or norm == 0.0:
+            return 0.0
+        head = work[k, first + k]
+        pivot = -norm if head > 0.0 else norm
+        work[k, first + k] = head - pivot
+        scale = 1.0 / (pivot * (pivot - head))
+        for j in range(width):
+            if first <= j <= first + k:
+                continue
+            total = 0.0
+            for i in range(k, rows):
+                total += work[i, first + k] * work[i, j]
+            total *= scale
+            for i in range(k, rows):
+                work[i, j] -= total * work[i, first + k]
+        work[k, first + k] = pivot
+        for i in range(k + 1, rows):
+            work[i, first + k] = 0.0
+    return smallest / largest
+
+
+@part
+def _solve(work, first, count, order, column, out):
+    """Write the solution of the reduced equations for a right-hand side."""
+    for k in range(count - 1, -1, -1):
+        total = work[k, column]
+        for j in range(k + 1, count):
+            total -= work[k, first + j] * out[order[j]]
+        out[order[k]] = total / work[k, first + k]
+
+
+@part
+def _gap(work, rows, phi):
+    """Return the norm of phi, in units of the loops' sizes and rad."""
+    total = 0.0
+    for i in range(rows):
+        total += work[i, phi] ** 2
+    return math.sqrt(total)
+
+
+@part
+def _factored(mechanism, u, still, n, work, room, here, order):
+    """Factor J at u; returns the gap and the ratio of pivots."""
+    into_tree(mechanism, u, 1.0, here)
+    assemble(mechanism, here, still, work, room)
+    gap = _gap(work, work.shape[0], work.shape[1] - 2)
+    return gap, _reduce(work, work.shape[0], n, order.size, order)
+
+
+@part
+def _closed(mechanism, u, still, n, scale, tolerance, search, work, room, here, order, step):
+    """Move the passive joints of u until the loops close, and leave the factors of J there.
+
+    Returns whether they do, the gap, and the ratio of pivots.
+    """
+    phi, passive = work.shape[1] - 2, order.size
+    for _ in range(SEARCH if search else NEWTON):
+        gap, pivot = _factored(mechanism, u, still, n, work, room, here, order)
+        if pivot <= SINGULAR:
+            return False, gap, pivot
+        _solve(work, n, passive, order, phi, step)
+        most = 0.0
+        for k in range(passive):
+            most = max(most, abs(step[k]) / scale[n + k])
+        if not math.isfinite(most) or (most > FARTHEST and not search):
+            return False, gap, pivot
+        share = FARTHEST / most if most > FARTHEST else 1.0
+        for k in range(passive):
+            u[n + k] -= share * step[k]
+        if most <= CONVERGED:
+            gap, pivot = _factored(mechanism, u, still, n, work, room, here, order)
+            return pivot > SINGULAR and gap <= tolerance, gap, pivot
+    return False, gap, pivot
+
+
+@part
+def _predicted(u, moves, target, share, tried):
+    """Write the posture a share of the way from u to motors at `target`, by the tangent."""
+    passive, n = moves.shape
+    for k in range(n):
+        # exactly the target in the end
+        tried[k] = target[k] if share >= 1.0 else u[k] + share * (target[k] - u[k])
+    for k in range(passive):
+        tried[n + k] = u[n + k]
+        for j in range(n):
+            tried[n + k] += moves[k, j] * (tried[j] - u[j])
+
+
+@part
+def _far(u, target, scale):
+    """Return the longest way of a motor from u to `target`, in units of `scale`."""
+    most = 0.0
+    for k in range(target.size):
+        most = max(most, abs(target[k] - u[k]) / scale[k])
+    return most
+
+
+@part
+def _moved(work, n, order, moves, step):
+    """Write how motors move passive joints, by the factors of J."""
+    for j in range(n):
+        _solve(work, n, order.size, order, j, step)
+        for k in range(order.size):
+            moves[k, j] = -step[k]
+
+
+@part
+def _carried_along(u, moves, motor, bias):
+    """Write into u the rates of all coordinates for those of motors; passive ones less `bias`."""
+    passive, n = moves.shape
+    for k in range(n):
+        u[k] = motor[k]
+    for k in range(passive):
+        u[n + k] = -bias[k]
+        for j in range(n):
+            u[n + k] += moves[k, j] * motor[j]
+
+
+@part
+def _write_shares(mechanism, moves, shares):
+    """Write how the joints of the tree move with the motors, `A (1, dp/dq)`."""
+    n, sources, first = moves.shape[1], mechanism[5], mechanism[6]
+    for joint in range(shares.shape[0]):
+        for j in range(n):
+            shares[joint, j] = 0.0
+        for k in range(first[joint], first[joint + 1]):
+            column, factor = int(sources[k, 0]), sources[k, 1]
+            if column < n:
+                shares[joint, column] += factor
+            else:
+                for j in range(n):
+                    shares[joint, j] += factor * moves[column - n, j]
+
+
+@kernel("i1 i3 f2 f2 b1 f2 i1 f1 f1 f1 f b f2 f2 f2 F2 F2 F2 F3 F2")
+def close_loops(
+    kinds,
+    paths,
+    numbers,
+    placements,
+    revolute,
+    sources,
+    first,
+    offset,
+    scale,
+    home,
+    tolerance,
+    search,
+    q,
+    qd,
+    qdd,
+    at,
+    rates,
+    accelerations,
+    shares,
+    quality,
+):
+    """Write motion (N, n_links) and shares (N, n_links, n) of the joints of the tree.
+
+    Each sample starts from the one before, the first from the closed posture `home`, in steps that
+    keep the assembly mode. `quality[s]` are the gap, the ratio of the pivots of J_p, and 1 where
+    the loops close within `tolerance`; motion is NaN where they do not. With `search`, the passive
+    joints of `home` are a guess from which Newton may go far. `scale` (n + passive,) is 1 for
+    angles, the size of a loop for lengths.
+    """
+    mechanism = (kinds, paths, numbers, placements, revolute, sources, first, offset)
+    n, n_tree, passive, rows = q.shape[1], at.shape[1], home.size - q.shape[1], rows_of(kinds)
+    work, room = np.zeros((rows, n + passive + 2)), room_for(n_tree)
+    order, step, none = np.zeros(passive, dtype=np.int64), np.zeros(passive), np.zeros(passive)
+    here, still = np.zeros(n_tree), np.zeros(n_tree)
+    # u is the last posture that closed; `known` the last of a sample
+    u, known, tried, rate = home.copy(), home.copy(), home.copy(), np.zeros(home.size)
+    moves, moved = np.zeros((passive, n)), np.zeros((passive, n))
+    for sample in range(q.shape[0]):
+        target = q[sample]
+        if search:
+            u[:n] = target
+        share = STRIDE / max(_far(u, target, scale), STRIDE)
+        closed = False
+        while not closed:
+            _predicted(u, moves, target, share, tried)
+            closed, gap, pivot = _closed(
+                mechanism,
+                tried,
+                still,
+                n,
+                scale,
+                tolerance,
+                search,
+                work,
+                room,
+                here,
+                order,
+                step,
+            )
+            if closed:
+                _moved(work, n, order, moves, step)
+                u[:] = tried
+                closed = share >= 1.0
+                share = STRIDE / max(_far(u, target, scale), STRIDE)
+            elif search or share * _far(u, target, scale) < SHORTEST:
+                break
+            else:
+                share *= 0.25
+        quality[sample, 0], quality[sample, 1] = gap, pivot
+        quality[sample, 2] = 1.0 if closed else 0.0
+        if not closed:
+            if search:
+                into_tree(mechanism, tried, 1.0, at[sample])
+            else:
+                at[sample] = np.nan
+                rates[sample], accelerations[sample], shares[sample] = np.nan, np.nan, np.nan
+            u[:], moves[:] = known, moved
+            continue
+        known[:], moved[:] = u, moves
+        into_tree(mechanism, u, 1.0, at[sample])
+        _carried_along(rate, moves, qd[sample], none)
+        into_tree(mechanism, rate, 0.0, rates[sample])
+        assemble(mechanism, at[sample], rates[sample], work, room)
+        _reduce(work, rows, n, passive, order)
+        _solve(work, n, passive, order, work.shape[1] - 1, step)
+        _carried_along(rate, moves, qdd[sample], step)
+        into_tree(mechanism, rate, 0.0, accelerations[sample])
+        _write_shares(mechanism, moves, shares[sample])

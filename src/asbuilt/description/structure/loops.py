@@ -1,0 +1,197 @@
+"""Loops: a cut in a closed chain of links, and the numbers by which it is closed again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.rotation import rotation_fault
+from asbuilt.description.structure.parts import ROOT, Frame, Joint
+from asbuilt.errors import DescriptionError
+
+LoopKind = Literal["connect", "weld", "joint"]
+CONNECT, WELD, JOINT = range(3)
+"""Kinds of loops: two points coincide, two frames do, a joint is at a polynomial of another."""
+ROWS = (3, 6, 1)
+"""Equations of a loop by kind."""
+POINT, TURN, CURVE, SIZE, WIDTH = 0, 6, 15, 20, 21
+"""Columns of the numbers of a loop: two points, a rotation, a polynomial, a length; their count."""
+CODES = {"connect": CONNECT, "weld": WELD, "joint": JOINT}
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Close a chain of links that the tree of links leaves open.
+
+    `connect` holds a point of one link on a point of another, as a ball joint does; two of them on
+    an axis are a hinge. `weld` holds their axes too: those of link b are turned by `rotation`
+    (3, 3) in those of link a. `joint` holds a joint, the first of `joints`, at the polynomial
+    `c_0 + c_1 x + ...` of the position x of the second, or at c_0 if there is none.
+
+    `link_a`, `link_b` name links, frames or the root link; `point_a`, `point_b` (3,) are in their
+    axes [m]. Raises `DescriptionError` for another kind and for numbers that do not fit.
+    """
+
+    kind: LoopKind
+    link_a: str = ""
+    point_a: Array = field(default_factory=lambda: np.zeros(3))
+    link_b: str = ""
+    point_b: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    joints: tuple[str, ...] = ()
+    polynomial: tuple[float, ...] = ()
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(LoopKind):
+            raise DescriptionError(
+                f"{self}: kind {self.kind!r} is not known; kinds are {', '.join(CODES)}"
+            )
+        for name, shape in (("point_a", (3,)), ("point_b", (3,)), ("rotation", (3, 3))):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise DescriptionError(
+                    f"{self}: {name} must be {shape} finite numbers, got {array.tolist()}"
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "joints", tuple(self.joints))
+        object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))
+        fault = rotation_fault(self.rotation.tolist())
+        if fault is not None:
+            raise DescriptionError(f"{self}: rotation is not a rotation matrix: {fault}")
+        if self.kind == "joint" and not (
+            1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
+        ):
+            raise DescriptionError(
+                f"{self}: a loop of joints needs one or two of them and a polynomial of one to five"
+                f" numbers, got {len(self.joints)} and {len(self.polynomial)}"
+            )
+        if self.kind != "joint" and (not self.link_a or not self.link_b):
+            raise DescriptionError(f"{self}: link_a and link_b are needed")
+        if self.kind != "joint" and self.link_a == self.link_b:
+            raise DescriptionError(
+                f"{self}: both points are on {self.link_a!r}, so that it closes no chain; name the"
+                " two links that meet there"
+            )
+
+    def __str__(self) -> str:
+        if self.name:
+            return f"loop {self.name!r}"
+        ends = self.joints if self.kind == "joint" else (self.link_a, self.link_b)
+        return f"loop of {' and '.join(ends) or 'no links'}"
+
+    @property
+    def ends(self) -> tuple[tuple[str, Array], tuple[str, Array]]:
+        """Link and point of both sides."""
+        return (self.link_a, self.point_a), (self.link_b, self.point_b)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopNumbers:
+    """Hold loops as the kernels take them; tree of n joints.
+
+    `kinds` (n_loops,); `paths` (n_loops, 2, most): joints of the tree from the last link that both
+    sides share to each point, -1 after the last, or the one joint of each side; `numbers` (n_loops,
+    WIDTH) as `loop_equations` has them.
+    """
+
+    kinds: Indices
+    paths: Indices
+    numbers: Array
+
+    @property
+    def joints(self) -> list[int]:
+        """Joints of the tree that some loop moves."""
+        return sorted({int(joint) for joint in self.paths.ravel() if joint >= 0})
+
+
+def loop_numbers(
+    robot: str,
+    loops: Sequence[Loop],
+    tree: Sequence[Joint],
+    links: Mapping[str, int],
+    frames: Sequence[Frame],
+) -> LoopNumbers:
+    """Return loops by numbers for the joints of a tree.
+
+    `links` has the places of links in the tree by name, `ROOT` for the root. Raises
+    `DescriptionError` where a link or a joint does not exist, or both sides of a loop are one link.
+    """
+    named = {frame.name: frame for frame in frames}
+    names = {joint.name: k for k, joint in enumerate(tree)} | {
+        joint.name_in_tree: k for k, joint in enumerate(tree)
+    }
+    numbers = np.zeros((len(loops), WIDTH))
+    paths: list[tuple[list[int], list[int]]] = []
+    for loop, row in zip(loops, numbers, strict=True):
+        row[SIZE] = 1.0
+        if loop.kind == "joint":
+            for name in loop.joints:
+                if name not in names:
+                    raise _unknown(robot, loop, "joint", name, names)
+            row[CURVE : CURVE + len(loop.polynomial)] = loop.polynomial
+            paths.append(([names[loop.joints[0]]], [names[name] for name in loop.joints[1:]]))
+            continue
+        sides, turns = [], []
+        for side, (name, point) in enumerate(loop.ends):
+            if name not in links and name not in named:
+                raise _unknown(robot, loop, "link", name, {**links, **named})
+            at = links.get(name, ROOT)
+            pose = np.eye(4)
+            if name not in links:
+                at, pose = named[name].link, named[name].placement
+            row[POINT + 3 * side : POINT + 3 * side + 3] = pose[:3, :3] @ point + pose[:3, 3]
+            sides.append(_ancestors(tree, at))
+            turns.append(pose[:3, :3])
+        row[TURN : TURN + 9] = (turns[0] @ loop.rotation @ turns[1].T).ravel()
+        shared = sum(1 for a, b in zip(*sides, strict=False) if a == b)
+        ways = (sides[0][shared:], sides[1][shared:])
+        if not any(ways):
+            raise DescriptionError(
+                f"{robot}: both sides of the {loop} are fixed to one link, so that it closes no"
+                " chain; name the two links that meet there"
+            )
+        row[SIZE] = _size(tree, ways, row) or 1.0
+        paths.append(ways)
+    most = max(len(way) for ways in paths for way in ways)
+    array = np.full((len(loops), 2, most), -1, dtype=np.int64)
+    for loop_paths, ways in zip(array, paths, strict=True):
+        for side, way in enumerate(ways):
+            loop_paths[side, : len(way)] = way
+    kinds = np.array([CODES[loop.kind] for loop in loops], dtype=np.int64)
+    for each in (kinds, array, numbers):
+        each.setflags(write=False)
+    return LoopNumbers(kinds, array, numbers)
+
+
+def _ancestors(tree: Sequence[Joint], link: int) -> list[int]:
+    chain: list[int] = []
+    while link != ROOT:
+        chain.append(link)
+        link = tree[link].parent
+    return chain[::-1]
+
+
+def _size(tree: Sequence[Joint], ways: tuple[list[int], list[int]], row: Array) -> float:
+    """Return the length of a loop [m] that its placements and points add up to."""
+    steps = [tree[k].before[:3, 3] for way in ways for k in way[1:]]
+    steps += [tree[k].after[:3, 3] for way in ways for k in way]
+    steps += [tree[way[0]].before[:3, 3] for way in ways if way]
+    steps += [row[POINT : POINT + 3], row[POINT + 3 : POINT + 6]]
+    return float(sum(np.linalg.norm(step) for step in steps))
+
+
+def _unknown(
+    robot: str, loop: Loop, what: str, name: str, known: Mapping[str, object]
+) -> DescriptionError:
+    return DescriptionError(
+        f"{robot}: the {loop} names {what} {name!r}, which does not exist; known are"
+        f" {', '.join(known)}",
+        value=name,
+        available=[*known],
+    )

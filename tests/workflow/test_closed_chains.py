@@ -1,0 +1,151 @@
+"""Studies of robots with closed chains, on motion that MuJoCo made with equality constraints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.errors import DescriptionError, MotionError, RecordingError
+from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.options import DesignOptions
+from asbuilt.excitation.limits import check_motion
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment.virtual.physics import Physics
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.study import identify
+from asbuilt.writers.models.c.c_dynamics import Mechanism
+from asbuilt.writers.models.urdf import urdf_text
+from closed_chains import NAMES, robot_with_loops
+
+pytest.importorskip("mujoco")
+OPTIONS = StudyOptions(method="wls", drive="viscous,coulomb,offset")
+
+
+def errors_in_sigmas(name: str, seed: int):
+    """Estimates less the truth in standard errors."""
+    model = robot_with_loops(name)
+    robot = VirtualRobot.preset("lab", model, rng=seed)
+    motion = random_fourier(model, rng=seed, duration=16.0)
+    logged = robot.record(motion, rng=seed, rate=250.0)
+    result = identify(model, logged.recording, options=OPTIONS).result
+    truth = [logged.truth[logged.names.index(name)] for name in result.base.standard_names]
+    return (result.estimates - result.base.values(np.array(truth))) / result.std_errors
+
+
+def test_a_four_bar_is_identified_with_honest_errors() -> None:
+    assert np.abs(errors_in_sigmas("four-bar", 1)).max() < 4.0
+
+
+@pytest.mark.study
+def test_intervals_hold_the_truth() -> None:
+    names = ("four-bar", "piston", "palletizer", "delta")
+    found = np.concatenate([errors_in_sigmas(name, seed) for name in names for seed in range(4)])
+    assert np.mean(np.abs(found) < 1.96) > 0.93
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_free_motion_is_that_of_mujoco(name: str) -> None:
+    """Accelerations by the shares against MuJoCo's constraint solver."""
+    from asbuilt.dynamics.kinematics import random_postures
+    from asbuilt.dynamics.newton_euler import forward_dynamics
+
+    model = robot_with_loops(name)
+    physics = Physics(model)
+    q = random_postures(model, np.random.default_rng(0), 5)
+    qd = np.random.default_rng(1).normal(size=q.shape)
+    still = np.zeros_like(q)
+    there, _ = physics.accelerations(q, qd, still, coulomb=still, viscous=still)
+    own = forward_dynamics(model, q, qd, still)
+    np.testing.assert_allclose(there, own, atol=3e-3 * np.abs(own).max())
+
+
+def test_encoders_that_contradict_the_loops_are_named_with_joint_and_time() -> None:
+    model = bundled_robot("four-bar")
+    motion = random_fourier(model, rng=0, duration=8.0)
+    log = VirtualRobot.ideal(model).record(motion, rate=200.0).recording
+    assert not any(f.code == "loops_open" for f in check_recording(model, log).findings)
+    loop = replace(model.loops[0], point_a=np.array([0.28, 0.0, 0.0]))
+    short = replace(model, loops=(loop,))
+    (found,) = (f for f in check_recording(short, log).findings if f.code == "loops_open")
+    assert found.severity == "error"
+    assert found.joint == "crank_joint"
+    first = int(np.flatnonzero(~short.closure.postures(log.q).closed)[0])
+    assert found.time == pytest.approx(log.t[first], abs=0.01)
+    with pytest.raises(RecordingError, match="they do not close at"):
+        identify(short, log, options=OPTIONS)
+
+
+def test_logged_passive_joints_are_compared_with_the_loops() -> None:
+    model = bundled_robot("four-bar")
+    motion = random_fourier(model, rng=0, duration=8.0)
+    log = VirtualRobot.ideal(model).record(motion, rate=200.0).recording
+    rocker = model.link_positions(log.q)[:, 2]
+    for shift, expected in ((0.0, []), (0.3, ["rocker_joint"])):
+        logged = replace(log, extra={**log.extra, "q_rocker_joint": rocker + shift})
+        codes = [
+            f.joint for f in check_recording(model, logged).findings
+            if f.code == "coupling_disagrees"
+        ]  # fmt: skip
+        assert codes == expected
+
+
+def test_designed_motion_keeps_the_loops_closed_and_the_limits() -> None:
+    model = robot_with_loops("piston")
+    options = DesignOptions(duration=4.0, size=3, starts=1, drive="viscous")
+    design = design_motion(model, options, with_bound=False)
+    report = check_motion(model, design.motion)
+    assert report.is_respected
+    q = design.motion.derivative(design.motion.sample_times(1000.0), 0)
+    assert model.closure.postures(q).closed.all()
+
+
+def test_limits_of_passive_joints_count() -> None:
+    model = robot_with_loops("piston")
+    lever = replace(
+        model.followers[0], limits=replace(model.followers[0].limits, lower=-0.1, upper=0.1)
+    )
+    narrow = replace(model, followers=(lever, *model.followers[1:]))
+    motion = random_fourier(model, rng=0, duration=6.0)
+    assert check_motion(model, motion).is_respected
+    assert {m.joint for m in check_motion(narrow, motion).violations} == {"lever_joint"}
+
+
+def test_limits_beyond_the_reach_are_refused_before_a_search() -> None:
+    model = bundled_robot("four-bar")
+    loop = replace(model.loops[0], point_a=np.array([0.28, 0.0, 0.0]))
+    short = replace(model, loops=(loop,))
+    with pytest.raises(MotionError, match=r"crank_joint -[\d.]+ to [\d.]+"):
+        design_motion(short, DesignOptions(duration=4.0))
+    with pytest.raises(MotionError, match="do not close everywhere"):
+        random_fourier(short)
+
+
+def test_exports_that_have_no_loops_refuse_by_name() -> None:
+    model = bundled_robot("four-bar")
+    with pytest.raises(DescriptionError, match=r"URDF has no loops.*coupler on rocker"):
+        urdf_text(model)
+    with pytest.raises(DescriptionError, match=r"C code .*coupler on rocker"):
+        Mechanism(model)
+
+
+def test_a_parallelogram_becomes_mimic_joints_in_urdf() -> None:
+    from asbuilt.description.formats.urdf import read_urdf
+    from asbuilt.dynamics.newton_euler import inverse_dynamics
+
+    model = bundled_robot("four-bar")
+    points = {"point_a": np.array([0.5, 0.0, 0.0]), "point_b": np.array([0.15, 0.0, 0.0])}
+    even = replace(
+        model,
+        loops=(replace(model.loops[0], **points),),
+        posture={"crank_joint": 1.0, "coupler_joint": -1.0, "rocker_joint": 1.0},
+    )
+    read = read_urdf(urdf_text(even))
+    assert read.joint_names == ("crank_joint",)
+    q = np.linspace(0.4, 2.6, 9)[:, None]
+    expected = inverse_dynamics(even, q, 2.0 * q, 3.0 - q)
+    np.testing.assert_allclose(inverse_dynamics(read, q, 2.0 * q, 3.0 - q), expected, atol=1e-9)
