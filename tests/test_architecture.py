@@ -50,7 +50,7 @@ LEAVES = (
     "untrusted",
     "writing",
 )
-FULL = 12
+FULL = 25
 """Modules that one folder may hold, drive terms excepted."""
 HEAVY = (
     "numba",

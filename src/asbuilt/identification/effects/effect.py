@@ -14,7 +14,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, Severity
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.torque_prediction import parameter_torque
 from asbuilt.registry import Registry
@@ -164,7 +164,7 @@ class Effect(ABC):
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return what is said of the effect where a model is without it."""
-        severity = "warning" if self.of_log else "info"
+        severity: Severity = "warning" if self.of_log else "info"
         message = f"Not in the model: {found.text}"
         cure = CORRECT if self.of_log else None
         return Finding("effect_found", severity, message, cure, joint=found.joint)

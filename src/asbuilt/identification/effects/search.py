@@ -157,12 +157,12 @@ class _Search:
         path = selection.run()
         while (first := self._to_remove(path, removed)) is not None:
             own = first.candidate
-            values, errors = _whole(first.values, own, selection), _errors(selection, path)[own.at]
-            new = _Removed(own.at, values, errors, first.alternatives)
-            found, beside = self._settled([*removed, new])
+            values, around = _whole(first.values, own, selection), _errors(selection, path)[own.at]
+            new = _Removed(own.at, values, around, first.alternatives)
+            settled, beside = self._settled([*removed, new])
             robot = selection.equations.robot
-            if own.effect.is_possible(found[-1].values, own.joint, robot):
-                removed, selection = found, beside
+            if own.effect.is_possible(settled[-1].values, own.joint, robot):
+                removed, selection = settled, beside
             else:
                 self.impossible.add(own.at)
                 selection = self._selection(removed)

@@ -102,7 +102,8 @@ def conclude_study(
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
     lacking = fits.effects.lacking
-    result = conclude(replace(fits.final, omitted=lacking and lacking.bias(fits.final)))
+    omitted = None if lacking is None else lacking.bias(fits.final)
+    result = conclude(replace(fits.final, omitted=omitted))
     attribution = None if cause_data is None else attribute(result)
     validations = tuple(
         with_exported(result.of_training, each, samples)

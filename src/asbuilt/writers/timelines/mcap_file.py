@@ -82,7 +82,7 @@ class _Messages:
             )
 
     def _channel(self, topic: str, kind: str) -> int:
-        return self.writer.register_channel(topic, "cdr", self.schemas[kind])
+        return int(self.writer.register_channel(topic, "cdr", self.schemas[kind]))
 
     def _message(self, channel: int, kind: str, time: float, **fields: Any) -> None:
         nanoseconds = round(time * 1e9)

@@ -264,7 +264,7 @@ class Drift(_OfTorque):
 
     def is_possible(self, values: Array, joint: int | None, robot: Described) -> bool:
         """Return whether the drift matters beside the joint's largest torque."""
-        return abs(values[0]) >= self.felt * robot.largest[joint or 0]
+        return bool(abs(values[0]) >= self.felt * robot.largest[joint or 0])
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of torques."""
