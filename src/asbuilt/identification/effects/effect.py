@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -14,9 +14,16 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.findings import Cure, Finding
+from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.torque_prediction import parameter_torque
 from asbuilt.registry import Registry
 from asbuilt.tables import plus_minus
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+CORRECT = Cure("check the log, and correct it in a recording sheet")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +31,8 @@ class Described:
     """Hold the robot whose effects are searched: model, drive terms, values and torque source.
 
     `chi` are standard parameters near the recording, in the order of `drive`, `speeds` the
-    velocities recorded, each (N, n).
+    velocities recorded, each (N, n), `largest` (n,) the torques that nearly all samples keep,
+    `clock_bound` the share by which velocities let the clock be wrong.
     """
 
     model: RobotModel
@@ -32,6 +40,8 @@ class Described:
     chi: Array
     source: str
     speeds: tuple[Array, ...]
+    largest: Array
+    clock_bound: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +108,17 @@ class Effect(ABC):
     """Size below which it is of no account."""
     positive: ClassVar[bool] = False
     """Whether only positive values are physical."""
+    removable: ClassVar[bool] = False
+    """Whether robot or log can be had without it (`without`): it is then sought by Newton's steps,
+    for its columns are those of small values."""
+    of_shares: ClassVar[bool] = False
+    """Whether its value is a share, so that steps multiply."""
+    settled: ClassVar[float] = 1e-3
+    """Step [rad, m or share] after which the next is of its square."""
+    farthest: ClassVar[float] = np.inf
+    """Largest size that a robot in use can have."""
+    starts: ClassVar[tuple[float, ...]] = ()
+    """Values from which on it may be sought, too, where it can be off by factors."""
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return size, standard error and unit of its values (m,) with their covariance."""
@@ -114,6 +135,31 @@ class Effect(ABC):
     def unit(self, revolute: bool) -> str:
         """Return the unit of its size at a revolute or prismatic joint."""
         return ""
+
+    def is_possible(self, values: Array, robot: Described) -> bool:
+        """Return whether a robot in use can have these values, large enough to matter."""
+        size = float(np.linalg.norm(values))
+        positive = not self.positive or bool(np.all(values > 0.0))
+        return self.least <= size <= self.farthest and positive
+
+    def without(
+        self, model: RobotModel, samples: Sequence[Samples], joint: int | None, values: Array
+    ) -> tuple[RobotModel, list[Samples]]:
+        """Return a robot and samples without the effect of these values at a joint (from 0)."""
+        raise NotImplementedError
+
+    def advanced(self, values: Array, step: Array) -> Array:
+        """Return the values after a step about what they leave."""
+        if self.of_shares:
+            return np.asarray((1.0 + values) * (1.0 + step) - 1.0)
+        return np.asarray(values + step)
+
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
+        """Return what is said of the effect where a model is without it."""
+        severity = "warning" if self.of_log else "info"
+        message = f"Not in the model: {found.text}"
+        cure = CORRECT if self.of_log else None
+        return Finding("effect_found", severity, message, cure, joint=found.joint)
 
     @abstractmethod
     def variants(self, robot: Described) -> Iterator[Variant]:

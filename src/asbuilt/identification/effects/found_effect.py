@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from asbuilt.tables import significant
+
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
@@ -39,6 +41,16 @@ class FoundEffect:
     error_after: float
     alternatives: tuple[str, ...]
     text: str
+
+    @property
+    def improvement(self) -> str:
+        """The torque error without and with it, as text."""
+        return improvement(self.error_before, self.error_after)
+
+
+def improvement(before: float, after: float) -> str:
+    """Return relative torque errors without and with an effect as text."""
+    return f"torque error {significant(100 * before, 2)} -> {significant(100 * after, 2)} %"
 
 
 def tilts(effects: Sequence[FoundEffect]) -> bool:

@@ -50,6 +50,7 @@ class EffectEquations:
     block.
     """
 
+    robot: Described
     base: BaseParameters
     candidates: tuple[Candidate, ...]
     support: tuple[Indices, ...]
@@ -135,6 +136,7 @@ def gather_equations(
                 grams[k].append(block[k])
             counts.append(part.n_outputs)
     return _without_idle(
+        robot,
         base,
         candidates,
         [np.concatenate([s, [size]]) for s in support],
@@ -198,6 +200,7 @@ def _evaluated(
 
 
 def _without_idle(
+    robot: Described,
     base: BaseParameters,
     candidates: Sequence[Candidate],
     support: Sequence[Indices],
@@ -211,4 +214,4 @@ def _without_idle(
         there = np.flatnonzero(s >= 0)
         places.append(s[there][:-1])
         own.append(np.ascontiguousarray(gram[:, there][:, :, there]))
-    return EffectEquations(base, tuple(candidates), tuple(places), tuple(own), counts, size)
+    return EffectEquations(robot, base, tuple(candidates), tuple(places), tuple(own), counts, size)

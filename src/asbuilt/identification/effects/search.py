@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
@@ -19,18 +17,17 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
-from asbuilt.identification.effects.effect import EFFECTS, Described
+from asbuilt.identification.effects.effect import EFFECTS, Described, Effect
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
-from asbuilt.identification.effects.families.tilt import Tilt
-from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.found_effect import FoundEffect, improvement
 from asbuilt.identification.effects.gathering import Candidate, gather_equations
 from asbuilt.identification.effects.selection import Prior, Selection, Trial
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.auto import design_effect, prior_information
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import accumulate_stream
-from asbuilt.tables import significant
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -51,11 +48,14 @@ class SearchLimits:
     """Groups of different motion below which held-out errors have no usable standard error."""
     named: float = 0.03
     """Share of the torque error that effects which no model has must take away to be named."""
-    rounds: int = 4
-    settled: float = 1e-3
-    """Passes for a tilt, and the step [rad] after which the next is of its square."""
-    farthest: float = 0.35
-    """Largest tilt [rad]; walls and ceilings belong into the description."""
+    rounds: int = 8
+    """Passes for effects that are taken out."""
+    tried: int = 3000
+    """Samples by which factors are tried."""
+    far_off: float = 0.05
+    """Fall of the logarithm of the residual, mean over joints, from which on a factor is."""
+    almost_all: float = 99.5
+    """Percentile of the torque that counts as its largest, so that a spike does not."""
 
 
 LIMITS = SearchLimits()
@@ -63,12 +63,16 @@ LIMITS = SearchLimits()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Effects:
-    """Hold what was found, the robot and drive terms with it, and what of them was fitted."""
+    """Hold what was found, the robot and drive terms with it, and what of them was fitted.
+
+    `problem` says why nothing was looked for.
+    """
 
     model: RobotModel
     drive: DriveSet
     found: tuple[FoundEffect, ...] = ()
     fitted: tuple[NonlinearPlace, ...] = ()
+    problem: str = ""
 
     def named_only(self, model: RobotModel, drive: DriveSet) -> Effects:
         """Return the same effects beside a robot without them."""
@@ -97,12 +101,26 @@ def find_effects(
     keys
         Keys of the effects that are looked for; None: all that a model can have.
     """
-    search = _Search(model, drive, _thinned(samples), keys)
+    search = _Search(model, drive, _thinned(samples, LIMITS.samples), keys)
     try:
         with one_blas_thread():
             return search.run()
-    except (AsbuiltError, np.linalg.LinAlgError):
-        return Effects(model, drive)
+    except (AsbuiltError, np.linalg.LinAlgError) as problem:
+        return Effects(model, drive, problem=str(problem))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Removed:
+    """Hold an effect taken out at values, its column staying, and held-out errors around it."""
+
+    at: tuple[str, int | None]
+    values: Array
+    errors: tuple[float, float]
+    alternatives: tuple[Candidate, ...] = ()
+
+    @property
+    def effect(self) -> Effect:
+        return EFFECTS[self.at[0]]
 
 
 class _Search:
@@ -115,58 +133,91 @@ class _Search:
         samples: Sequence[Samples],
         keys: Collection[str] | None,
     ) -> None:
-        self.model, self.drive, self.samples, self.keys = model, drive, samples, keys
+        self.model, self.drive, self.samples = model, drive, samples
+        self.wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
 
     def run(self) -> Effects:
-        """Return the effects, found on a robot with the tilt that they have."""
-        turned, selection = self.model, self._selection(self.model)
-        path = selection.run(selection.equations.candidates)
-        first = next((each for each in path if each.candidate.effect.key == Tilt.key), None)
-        of_tilt = {} if first is None else _errors(selection, path)
-        taken = path
-        if first is not None:
-            tilt, turned, selection, path = self._settled(first, selection)
-            both = selection.equations.candidates[selection.place_of(Tilt.key)]
-            taken = [_turned_by(first, tilt, both), *path]
-        errors = of_tilt | _errors(selection, path)
-        added = [
-            each.candidate for each in path if each.candidate.effect.in_model and each is not first
-        ]
+        """Return the effects, found on robot and log without those that can be taken out."""
+        removed, selection = self._far_off(), self._selection(())
+        if removed:
+            before = selection.held_out_error([])
+            removed, selection = self._settled(removed)
+            after = selection.held_out_error(selection.taken)
+            removed = [replace(each, errors=(before, after)) for each in removed]
+        path = selection.run()
+        while (first := _to_remove(path, removed)) is not None:
+            own = first.candidate
+            values, errors = _whole(first.values, own, selection), _errors(selection, path)[own.at]
+            new = _Removed(own.at, values, errors, first.alternatives)
+            removed, selection = self._settled([*removed, new])
+            path = selection.run()
+        errors = _errors(selection, path)
+        removed = [_advanced(each, selection) for each in removed]
+        taken = [(_trial_of(each, selection), each.errors) for each in removed]
+        taken += [(each, own) for each in path if _matters(each, own := errors[each.candidate.at])]
+        added = [each.candidate for each in path if each.candidate.effect.in_model]
+        turned, _ = self._without([each for each in removed if each.effect.in_model])
         drive, fitted, undetermined = self._fitted(turned, added)
         found = tuple(
-            self._found(each, selection, errors[each.candidate.at])
-            for each in taken
-            if each.candidate.at not in undetermined
-            and (each.candidate.effect.in_model or _matters(*errors[each.candidate.at]))
+            self._found(trial, selection, of_trial)
+            for trial, of_trial in taken
+            if trial.candidate.at not in undetermined
         )
         return Effects(turned, drive, found, fitted)
 
-    def _settled(
-        self, first: Trial, selection: Selection
-    ) -> tuple[Array, RobotModel, Selection, list[Trial]]:
-        """Return the tilt, the robot with it, and what is selected beside it.
+    def _far_off(self) -> list[_Removed]:
+        """Return the effect that is off by a factor from which on the robot is fitted better."""
+        few, base = (
+            _thinned(self.samples, LIMITS.tried),
+            find_base_parameters(self.model, self.drive),
+        )
 
-        All effects are asked again beside a tilt that stays free, so that none takes what the first
-        linearisation has left of it.
+        def left(samples: Sequence[Samples]) -> float:
+            seen = accumulate_stream(self.model, base, samples, block_seconds=self.seconds)
+            sigma = fit_least_squares(seen, weights="joint", prior=np.zeros(base.n_base)).sigma
+            return float(np.mean(np.log(sigma[np.isfinite(sigma)])))
+
+        bound = min(each.clock_bound for each in self.samples)
+        starts = [
+            (each, start) for each in self.wanted for start in each.starts if abs(start) <= bound
+        ]
+        if not starts:
+            return []
+        gain, effect, start = max(
+            (
+                (-left(each.without(self.model, few, None, np.array([start]))[1]), each, start)
+                for each, start in starts
+            ),
+            key=lambda each: each[0],
+        )
+        if gain + left(few) < LIMITS.far_off:
+            return []
+        return [_Removed((effect.key, None), np.array([start]), (0.0, 0.0))]
+
+    def _settled(self, removed: Sequence[_Removed]) -> tuple[list[_Removed], Selection]:
+        """Return effects with the values that leave nothing of them, and the selection beside them.
+
+        All others are asked again beside columns that stay free, so that none takes what the first
+        linearisation has left.
         """
-        tilt, step = np.zeros(2), _about_axes(first.values, first.candidate, selection)
+        own = list(removed)
         for _ in range(LIMITS.rounds):
-            tilt = tilt + step
-            if np.max(np.abs(tilt)) > LIMITS.farthest:
-                raise IdentifiabilityError(f"the base of {self.model.name} is on a wall or ceiling")
-            turned = self._turned(tilt)
-            selection = self._selection(turned)
-            free = selection.equations.candidates[selection.place_of(Tilt.key)]
-            own = selection.acting(free)
-            selection.taken = [own]
-            step = _about_axes(selection.values()[own.places], own, selection)
-            if np.linalg.norm(step) < LIMITS.settled:
+            selection = self._selection(own)
+            before = own
+            own = [_advanced(each, selection) for each in before]
+            moved = [np.linalg.norm(a.values - b.values) for a, b in zip(own, before, strict=True)]
+            if all(step < each.effect.settled for step, each in zip(moved, own, strict=True)):
                 break
-        path = selection.run(selection.equations.candidates)
-        step = _about_axes(selection.values()[own.places], own, selection)
-        return tilt + step, self._turned(tilt + step), selection, path
+        return own, selection
+
+    def _without(self, removed: Sequence[_Removed]) -> tuple[RobotModel, list[Samples]]:
+        """Return the robot and its samples without effects."""
+        model, samples = self.model, list(self.samples)
+        for each in removed:
+            model, samples = each.effect.without(model, samples, each.at[1], each.values)
+        return model, samples
 
     def _fitted(
         self, model: RobotModel, taken: Sequence[Candidate]
@@ -194,10 +245,11 @@ class _Search:
         places = tuple(each for each in fit.places if (each.term, each.joint) not in undetermined)
         return drive, places, undetermined
 
-    def _selection(self, model: RobotModel) -> Selection:
-        """Return the selection on a robot, nothing taken yet."""
+    def _selection(self, removed: Sequence[_Removed]) -> Selection:
+        """Return the selection on a robot without effects, whose columns are taken."""
+        model, samples = self._without(removed)
         base, prior = find_base_parameters(model, self.drive), cad_prior(model, self.drive)
-        seen = accumulate_stream(model, base, self.samples, block_seconds=self.seconds)
+        seen = accumulate_stream(model, base, samples, block_seconds=self.seconds)
         fit = fit_consistent(seen, prior)
         groups = different_motions(seen, fit.weights)
         if len(groups) < LIMITS.fewest_groups:
@@ -205,23 +257,16 @@ class _Search:
                 f"{len(groups)} groups of motion of {model.name} are too few"
             )
         effect = design_effect(seen, fit)
-        source = self.samples[0].torque_source
-        speeds = tuple(each.qd for each in self.samples)
-        robot = Described(model, self.drive, fit.standard, source, speeds)
-        wanted = [each for each in EFFECTS.values() if self.keys is None or each.key in self.keys]
+        robot = _described(model, self.drive, fit.standard, samples)
         equations = gather_equations(
-            robot, base, self.samples, effects=wanted, block_seconds=self.seconds
+            robot, base, samples, effects=self.wanted, block_seconds=self.seconds
         )
         cad = Prior(
             base.regrouping @ prior.parameters, effect * prior_information(seen, prior), effect
         )
-        return Selection(equations, cad, fit.weights, groups)
-
-    def _turned(self, tilt: Array) -> RobotModel:
-        """Return the robot with its base turned by a tilt about the axes across gravity."""
-        gravity = np.array(self.model.gravity)
-        back = Rotation.from_rotvec(-tilt @ axes_across(gravity))
-        return self.model.with_gravity(back.apply(gravity))
+        selection = Selection(equations, cad, fit.weights, groups)
+        selection.taken = [selection.candidate(each.at) for each in removed]
+        return selection
 
     def _found(
         self, trial: Trial, selection: Selection, errors: tuple[float, float]
@@ -250,7 +295,7 @@ class _Search:
             text=effect.title
             + (f" at {joint}" if joint else "")
             + f" {effect.size_text(trial.values, trial.covariance, revolute=revolute)}:"
-            f" torque error {significant(100 * before, 2)} -> {significant(100 * after, 2)} %",
+            f" {improvement(before, after)}",
         )
 
 
@@ -264,26 +309,82 @@ def _errors(
     return {each.at: (steps[k], steps[k + 1]) for k, each in enumerate(added)}
 
 
-def _turned_by(first: Trial, tilt: Array, both: Candidate) -> Trial:
-    """Return the tilt that was taken first with its final angles about both axes."""
-    covariance = np.zeros((len(tilt),) * 2)
-    felt = np.flatnonzero(tilt)
-    if len(felt) == len(first.values):
-        covariance[np.ix_(felt, felt)] = first.covariance
-    return replace(first, candidate=both, values=tilt, covariance=covariance)
+def _to_remove(path: Sequence[Trial], removed: Sequence[_Removed]) -> Trial | None:
+    """Return what is to be taken out next: what a model can have, or what the log shows first."""
+    done = {each.at for each in removed}
+    return next(
+        (
+            each
+            for j, each in enumerate(path)
+            if each.candidate.effect.removable
+            and (each.candidate.effect.in_model or (j == 0 and not removed))
+            and each.candidate.at not in done
+        ),
+        None,
+    )
 
 
-def _about_axes(values: Array, tilt: Candidate, selection: Selection) -> Array:
-    """Return the angles of a tilt about both axes, 0 about one that the robot does not feel."""
-    both = selection.equations.candidates[selection.place_of(Tilt.key)].places
-    angles = np.zeros(len(both))
-    angles[np.isin(both, tilt.places)] = values
-    return angles
+def _advanced(removed: _Removed, selection: Selection) -> _Removed:
+    """Return an effect with the values that leave nothing of it, to first order."""
+    own = next(each for each in selection.taken if each.at == removed.at)
+    step = _whole(selection.values()[own.places], own, selection)
+    found = replace(removed, values=removed.effect.advanced(removed.values, step))
+    if np.linalg.norm(found.values) > removed.effect.farthest:
+        raise IdentifiabilityError(
+            f"a {removed.effect.title} of {selection.equations.robot.model.name} is beyond what"
+            " robots in use have"
+        )
+    return found
 
 
-def _matters(before: float, after: float) -> bool:
-    """Return whether an effect that stays out of the model is worth naming."""
-    return after < (1.0 - LIMITS.named) * before
+def _trial_of(removed: _Removed, selection: Selection) -> Trial:
+    """Return an effect that is taken out, with its errors as beside all others."""
+    own = next(each for each in selection.taken if each.at == removed.at)
+    covariance = np.zeros((len(removed.values),) * 2)
+    acts = np.flatnonzero(_whole(np.ones(len(own.places)), own, selection))
+    slope = 1.0 + float(removed.values[0]) if removed.effect.of_shares else 1.0
+    covariance[np.ix_(acts, acts)] = slope**2 * selection.covariance(own)
+    return Trial(
+        replace(own, places=selection.every_place(own)),
+        removed.values,
+        covariance,
+        alternatives=removed.alternatives,
+    )
+
+
+def _whole(values: Array, own: Candidate, selection: Selection) -> Array:
+    """Return the values of all parameters of an effect, 0 for what does not act on this robot."""
+    places = selection.every_place(own)
+    found = np.zeros(len(places))
+    found[np.isin(places, own.places)] = values
+    return found
+
+
+def _matters(trial: Trial, errors: tuple[float, float]) -> bool:
+    """Return whether an effect is worth naming: in the model, or much of the torque error.
+
+    An error of the log at a joint of small torques is named if it lowers the weighted error so much.
+    """
+    before, after = errors
+    effect, worth = trial.candidate.effect, float(np.log1p(-LIMITS.named))
+    falls = after < (1.0 - LIMITS.named) * before
+    return effect.in_model or falls or (effect.of_log and trial.relief.mean() > -2.0 * worth)
+
+
+def _described(
+    model: RobotModel, drive: DriveSet, chi: Array, samples: Sequence[Samples]
+) -> Described:
+    """Return what columns of effects are made of."""
+    torque = np.vstack([np.abs(each.tau) for each in samples])
+    return Described(
+        model,
+        drive,
+        chi,
+        samples[0].torque_source,
+        tuple(each.qd for each in samples),
+        np.maximum(np.percentile(torque, LIMITS.almost_all, axis=0), np.finfo(np.float64).tiny),
+        min(each.clock_bound for each in samples),
+    )
 
 
 def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) -> DriveSet:
@@ -308,9 +409,9 @@ def _at(term: DriveTerm, joints: Collection[int | None], n_joints: int) -> Drive
     return replace(term, joints=None if len(numbers) == n_joints else numbers)
 
 
-def _thinned(samples: Sequence[Samples]) -> list[Samples]:
-    """Return spans of all recordings with about as many samples as are searched."""
-    every = -(-sum(each.n_samples for each in samples) // LIMITS.samples)
+def _thinned(samples: Sequence[Samples], most: int) -> list[Samples]:
+    """Return spans of all recordings with at most about so many samples."""
+    every = -(-sum(each.n_samples for each in samples) // most)
     if every <= 1:
         return list(samples)
     return [each.select((each.t - each.t[0]) // LIMITS.span % every == 0.0) for each in samples]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.identification.effects.effect import Described
 from asbuilt.identification.effects.gathering import Candidate, EffectEquations
 
 
@@ -74,11 +75,11 @@ class Trial:
     candidate: Candidate
     values: Array
     covariance: Array
-    p_value: float
-    relief: Array
-    gain: float
-    nearer: float
-    felt: float
+    p_value: float = 0.0
+    relief: Array = field(default_factory=lambda: np.zeros(0))
+    gain: float = 0.0
+    nearer: float = 0.0
+    felt: float = 0.0
     alternatives: tuple[Candidate, ...] = ()
 
     @property
@@ -91,7 +92,7 @@ class Trial:
         """Fall of the cost less what as many columns take away by chance."""
         return self.gain - len(self.values) * float(np.log(max(self.gain, 1.0)))
 
-    def is_taken(self, n_candidates: int) -> bool:
+    def is_taken(self, n_candidates: int, robot: Described) -> bool:
         """Return whether the effect is sure, and lowers the error on other motion or is imitated.
 
         Imitated: physically consistent bodies come nearer to CAD by more than chance, and other
@@ -99,9 +100,7 @@ class Trial:
         """
         if self.p_value * n_candidates > RULES.level:
             return False
-        if self.felt < RULES.felt or np.linalg.norm(self.values) < self.candidate.effect.least:
-            return False
-        if self.candidate.effect.positive and not np.all(self.values > 0.0):
+        if self.felt < RULES.felt or not self.candidate.effect.is_possible(self.values, robot):
             return False
         mean, error = float(self.relief.mean()), self.relief_error
         predicts = mean > RULES.certain * error and mean > RULES.worth
@@ -120,6 +119,19 @@ class _Fit:
     moves: Array
     schur: Array
     score: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _HeldOut:
+    """Hold a fit without a group, its squared error there (n,), and how columns change that.
+
+    A change d of the columns adds `2 gradient @ d + d @ gram @ d`, with (n, c) and (n, c, c).
+    """
+
+    fit: _Fit
+    error: Array
+    gradient: Array
+    gram: Array
 
 
 class Selection:
@@ -142,21 +154,30 @@ class Selection:
         self._groups = groups
         self._total = equations.stacked(weights)
         self._held = [equations.stacked(weights, group) for group in groups]
+        self._of_joints = [
+            [
+                (np.append(support, equations.n_parameters), gram[group].sum(axis=0))
+                for support, gram in zip(equations.support, equations.grams, strict=True)
+            ]
+            for group in groups
+        ]
         self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
         self.taken = list(taken)
         torque = np.array([gram[-1, -1] for gram in equations.of_joints])
         self._rms = np.sqrt(torque / max(int(equations.counts.sum()), 1))
         self._tiny = max(float(self._rms.max(initial=0.0)), 1.0) * np.finfo(np.float64).eps
 
-    def run(self, candidates: Sequence[Candidate]) -> list[Trial]:
+    def run(self) -> list[Trial]:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
         path: list[Trial] = []
         before: list[Trial] = []
         while True:
             busy = {(each.effect.kind, each.joint) for each in self.taken}
-            left = [each for each in candidates if (each.effect.kind, each.joint) not in busy]
+            every = self.equations.candidates
+            left = [each for each in every if (each.effect.kind, each.joint) not in busy]
             n = len({each.at for each in left})
-            trials = [each for each in self.trials(left) if each.is_taken(n)]
+            robot = self.equations.robot
+            trials = [each for each in self.trials(left) if each.is_taken(n, robot)]
             if path:
                 path[-1] = _with_alternatives(path[-1], before, trials)
             if not trials or len(path) == RULES.most:
@@ -166,9 +187,13 @@ class Selection:
             self.taken.append(best.candidate)
             before = trials
 
-    def place_of(self, key: str) -> int:
-        """Return the number of the candidate of an effect of the whole robot."""
-        return next(j for j, each in enumerate(self.equations.candidates) if each.at == (key, None))
+    def every_place(self, candidate: Candidate) -> Indices:
+        """Return the positions of all parameters of a candidate, whether they act or not."""
+        return next(each for each in self.equations.candidates if each.at == candidate.at).places
+
+    def candidate(self, at: tuple[str, int | None]) -> Candidate:
+        """Return the first candidate of an effect at a joint, with what acts of it."""
+        return self.acting(next(each for each in self.equations.candidates if each.at == at))
 
     def acting(self, candidate: Candidate) -> Candidate:
         """Return a candidate with those of its parameters that act on this robot."""
@@ -192,6 +217,17 @@ class Selection:
         """Return all parameters (P,) of the fit to everything, zero for what is not taken."""
         fit = self._fit(self._total, self._inside(self.taken), np.zeros(0, dtype=np.int64))
         return -fit.residual[:-1]
+
+    def covariance(self, taken: Candidate) -> Array:
+        """Return that of the values of a candidate that is taken, by the scatter of blocks."""
+        inside = self._inside([each for each in self.taken if each is not taken])
+        whole = self._fit(self._total, inside, taken.places)
+        d = np.linalg.solve(whole.schur, whole.score)
+        of_block = [
+            (whole.moves.T @ gram @ np.c_[whole.residual, whole.moves]) for gram in self._blocks
+        ]
+        left = np.array([-each[:, 0] - each[:, 1:] @ d for each in of_block])
+        return _scatter(whole.schur, left, d)[0]
 
     def torque_of(self, trial: Trial) -> float:
         """Return the RMS torque of a trial at its joint, of all joints together without one."""
@@ -241,12 +277,12 @@ class Selection:
         return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
 
     def _cost(self, inside: Indices) -> tuple[Array, float, float]:
-        """Return residuals of held-out groups, and squared error and distance from CAD of all."""
+        """Return squared errors of held-out groups (groups, n), and error and distance of all."""
         none = np.zeros(0, dtype=np.int64)
         held = np.array(
             [
-                x @ gram @ x
-                for gram in self._held
+                [x[places] @ own @ x[places] for places, own in joints]
+                for gram, joints in zip(self._held, self._of_joints, strict=True)
                 for x in (self._fit(self._total - gram, inside, none).residual,)
             ]
         )
@@ -268,16 +304,21 @@ class Selection:
             return []
         columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
-        parts: list[tuple[_Fit, Array, Array, float]] = []
-        for gram in self._held:
+        parts: list[_HeldOut] = []
+        for gram, joints in zip(self._held, self._of_joints, strict=True):
             fit = self._fit(self._total - gram, inside, columns)
-            H = gram @ fit.moves
-            error = float(fit.residual @ gram @ fit.residual)
-            parts.append((fit, fit.residual @ H, fit.moves.T @ H, error))
+            H = [(fit.residual[p], fit.moves[p], own @ fit.moves[p], own) for p, own in joints]
+            error = np.array([x @ own @ x for x, _, _, own in H])
+            gradient = np.array([x @ own for x, _, own, _ in H])
+            parts.append(
+                _HeldOut(fit, error, gradient, np.array([m.T @ own for _, m, own, _ in H]))
+            )
         by_block = np.array([whole.moves.T @ (gram @ whole.residual) for gram in self._blocks])
         of_block = np.array([whole.moves.T @ gram @ whole.moves for gram in self._blocks])
         size = np.sqrt(np.diag(self._total))
-        floor = np.finfo(np.float64).eps * np.array([gram[-1, -1] for gram in self._held])
+        floor = np.finfo(np.float64).eps * np.array(
+            [[own[-1, -1] for _, own in joints] for joints in self._of_joints]
+        )
         floor = floor + np.finfo(np.float64).tiny
         found = []
         for each, gain in gaining:
@@ -290,7 +331,8 @@ class Selection:
                 # That a term in place of another one is zero is no question: its gain is one.
                 p_value = float(chdtrc(max(len(c) - len(each.replaces), 0) + 1, 2.0 * gain))
             held_after = np.array([_left_out(part, c, size[each.places]) for part in parts])
-            relief = np.log(np.maximum(held_before, floor) / np.maximum(held_after, floor))
+            ratio = np.maximum(held_before, floor) / np.maximum(held_after, floor)
+            relief = np.log(ratio[:, self.weights > 0.0]).mean(axis=1)
             distance = self._distance(whole.residual + whole.moves[:, c] @ d)
             nearer = (distance_before - distance) / (2.0 * self.prior.effect)
             felt = float(np.max(self._torques(each, d) / np.maximum(self._rms, self._tiny)))
@@ -380,9 +422,8 @@ def _scatter(own: Array, left: Array, d: Array) -> tuple[Array, float]:
     return covariance, float(fdtrc(m, freedom, max(square, 0.0) * freedom / (m * max(B - 1, 1))))
 
 
-def _left_out(part: tuple[_Fit, Array, Array, float], c: Indices, size: Array) -> float:
-    """Return the squared error on a held-out group of the fit with columns c to the others."""
-    fit, gradient, gram, error = part
-    own = fit.schur[np.ix_(c, c)]
-    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), fit.score[c])
-    return error + 2.0 * float(d @ gradient[c]) + float(d @ gram[np.ix_(c, c)] @ d)
+def _left_out(part: _HeldOut, c: Indices, size: Array) -> Array:
+    """Return the squared error (n,) on a held-out group of the fit with columns c to the others."""
+    own = part.fit.schur[np.ix_(c, c)]
+    d = np.linalg.solve(own + RULES.ridge * np.diag(size**2), part.fit.score[c])
+    return np.asarray(part.error + 2.0 * part.gradient[:, c] @ d + part.gram[:, c][:, :, c] @ d @ d)

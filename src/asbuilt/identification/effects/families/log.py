@@ -1,30 +1,63 @@
-"""Errors of the log: its clock, zero positions, gains, and what drifts."""
+"""Errors of the log: its clock, zero positions, gains, and what drifts or saturates."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.tables import plus_minus
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
 
 ANGLE, LENGTH, SPEED = 1e-4, 1e-5, 1e-3
 """Steps of central differences: angle [rad], length [m], share of the speed."""
+DEAD = 0.15
+"""Part of the model's torque below which a torque channel does not follow the motion."""
+RATES = (0.1, 0.125, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0)
+"""Factors by which clocks are wrong: ratios of usual rates (1000, 500, 400, 250, 200, 125, 100 Hz),
+samples left out, another unit."""
 
 
-class _AtEveryJoint(Effect):
+class _OfLog(Effect):
+    of_log = True
+
+    def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
+        """Return the size with its standard error and unit, shares in percent."""
+        if not self.of_shares:
+            return super().size_text(values, covariance, revolute=revolute)
+        size, error, _ = self.size(values, covariance, revolute=revolute)
+        return f"{plus_minus(100.0 * size, 100.0 * error)} %"
+
+
+class _OfTorque(_OfLog):
+    """Act on the torque of single joints."""
+
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the effect at every joint."""
         yield Variant(self, 1, local=True, joints=tuple(range(robot.model.n_joints)))
 
 
 @effect
-class Clock(Effect):
+class Clock(_OfLog):
     """Run the motion faster than logged by a share."""
 
-    key, title, of_log = "clock", "wrong clock", True
+    key, title = "clock", "wrong clock"
     least = 0.01
+    removable, of_shares = True, True
+    starts = tuple(factor - 1.0 for factor in RATES)
+
+    def is_possible(self, values: Array, robot: Described) -> bool:
+        """Return whether velocities, which do not follow the clock, admit its error."""
+        return super().is_possible(values, robot) and abs(values[0]) <= robot.clock_bound
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the clock of the log."""
@@ -38,14 +71,47 @@ class Clock(Effect):
         )
         return [(up - down) / (2.0 * SPEED)]
 
+    def without(
+        self, model: RobotModel, samples: Sequence[Samples], joint: int | None, values: Array
+    ) -> tuple[RobotModel, list[Samples]]:
+        """Return samples of a motion that is so much faster."""
+        f = 1.0 + float(values[0])
+        return model, [replace(each, qd=f * each.qd, qdd=f**2 * each.qdd) for each in samples]
+
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
+        """Return what a wrong clock does, and by which factor it is corrected."""
+        pace, rate = "faster" if found.estimate > 0.0 else "slower", 1.0 + found.estimate
+        return Finding(
+            "clock_wrong",
+            "warning",
+            f"The torques are those of a motion {_percent(found)} {pace} than the clock of the log"
+            f" says, for only then do masses act alike by gravity and acceleration{_worth(found)}",
+            Cure(
+                f"check the sampling rate; if it is wrong, multiply the times by {1.0 / rate:.4g}"
+                f" (time_factor = {1.0 / rate:.4g} in a recording sheet), or the rate by {rate:.4g}"
+            ),
+        )
+
 
 @effect
-class Zero(Effect):
+class Zero(_OfLog):
     """Log the positions of a joint too large [rad or m]."""
 
-    key, title, of_log = "zero", "wrong zero position", True
+    key, title = "zero", "wrong zero position"
     least = 0.005
     """A third of a degree, or 5 mm."""
+    removable = True
+    farthest = 0.35
+    """20 degrees: a joint that is off by more is another one, or has another sign."""
+
+    def unit(self, revolute: bool) -> str:
+        """Return the unit of positions."""
+        return "rad" if revolute else "m"
+
+    def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
+        """Return the size in degrees or mm."""
+        size, error, _ = self.size(values, covariance, revolute=revolute)
+        return _length(size, error, revolute=revolute)
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the zero position of each joint."""
@@ -62,38 +128,182 @@ class Zero(Effect):
         )
         return [(down - up) / (2.0 * step[k])]
 
+    def without(
+        self, model: RobotModel, samples: Sequence[Samples], joint: int | None, values: Array
+    ) -> tuple[RobotModel, list[Samples]]:
+        """Return samples with positions of the joint so much smaller."""
+        off = np.zeros(model.n_joints)
+        off[joint or 0] = values[0]
+        return model, [replace(each, q=each.q - off) for each in samples]
+
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
+        """Return by how much a zero position is off."""
+        k = model.joint_names.index(str(found.joint))
+        size = _length(abs(found.estimate), found.std_error, revolute=model.joints[k].is_revolute)
+        return Finding(
+            "zero_position_wrong",
+            "warning",
+            f"Positions of {found.joint} seem logged {size} too"
+            f" {'large' if found.estimate > 0.0 else 'small'}: the zero position is not the"
+            f" description's{_worth(found)}",
+            Cure(
+                "check the calibration of the joint, or correct it in a recording sheet:"
+                f" zero = {_listed(model, k, '0', f'{found.estimate:.3g}')}"
+            ),
+            joint=found.joint,
+        )
+
 
 @effect
-class Gain(_AtEveryJoint):
+class Gain(_OfTorque):
     """Log the torques of a joint too large by a share."""
 
-    key, title, of_log = "gain", "wrong torque gain", True
+    key, title = "gain", "wrong torque gain"
     least = 0.03
     """Accuracy of the gains that makers state."""
+    removable, of_shares = True, True
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the model."""
         return [motion.torques[1]]
 
+    def advanced(self, values: Array, step: Array) -> Array:
+        """Return the values after a step; a dead channel is not taken out."""
+        return super().advanced(values, step) if 1.0 + values[0] > DEAD else step
+
+    def without(
+        self, model: RobotModel, samples: Sequence[Samples], joint: int | None, values: Array
+    ) -> tuple[RobotModel, list[Samples]]:
+        """Return samples with torques of the joint so much smaller; a dead channel stays."""
+        gain = np.ones(model.n_joints)
+        gain[joint or 0] = 1.0 + float(values[0])
+        gain = np.where(gain > DEAD, gain, 1.0)
+        return model, [replace(each, tau=each.tau / gain) for each in samples]
+
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
+        """Return the gain, or that the torque is another quantity."""
+        factor, gain = plus_minus(1.0 + found.estimate, found.std_error), 1.0 + found.estimate
+        if gain < DEAD:
+            return Finding(
+                "torque_does_not_follow",
+                "warning",
+                f"The torque of {found.joint} is {factor} of what the motion and the other joints"
+                f" imply{_worth(found)}: it is another quantity, or its sensor fails",
+                Cure("check the column and the sensor"),
+                joint=found.joint,
+            )
+        k = model.joint_names.index(str(found.joint))
+        return Finding(
+            "joint_gain_wrong",
+            "warning",
+            f"The torque of {found.joint} is {factor} of what its own motion and the other joints"
+            f" imply{_worth(found)}",
+            Cure(
+                "check its gain; to agree with the others, multiply it in a recording sheet by"
+                f" gains = {_listed(model, k, '1', f'{1.0 / gain:.3g}')}"
+            ),
+            joint=found.joint,
+        )
+
 
 @effect
-class Drift(_AtEveryJoint):
+class Saturation(_OfTorque):
+    """Log large torques of a joint too small: by this share at its largest torque."""
+
+    key, title = "saturation", "saturating torque"
+    least, farthest = 0.05, 0.8
+    of_shares = True
+
+    def is_possible(self, values: Array, robot: Described) -> bool:
+        """Return whether torques fall behind: none grows over its sensor."""
+        return super().is_possible(values, robot) and bool(values[0] < 0.0)
+
+    def columns(self, variant: Variant, motion: Motion) -> list[Array]:
+        """Return `tau |tau|` over the largest torque of the span."""
+        torque = motion.torques[1]
+        return [torque * np.abs(torque) / motion.robot.largest]
+
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
+        """Return by how much large torques are too small."""
+        return Finding(
+            "torque_saturates",
+            "warning",
+            f"The largest torques of {found.joint} are {_percent(found)} smaller than the small"
+            f" ones imply{_worth(found)}: the drive or the sensor saturates, or a gain depends on"
+            " the torque",
+            Cure("record a gentler motion, or check the range of the sensor"),
+            joint=found.joint,
+        )
+
+
+@effect
+class Drift(_OfTorque):
     """Let the torque offset drift over the recording [N m or N]."""
 
-    key, title, of_log = "drift", "drift of the torque offset", True
+    key, title = "drift", "drift of the torque offset"
+
+    def unit(self, revolute: bool) -> str:
+        """Return the unit of torques."""
+        return "N m" if revolute else "N"
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the share of the recording that has passed."""
         return [np.repeat(motion.elapsed[:, None], motion.q.shape[1], axis=1)]
 
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
+        """Return the drift."""
+        size = f"{plus_minus(found.estimate, found.std_error)} {found.unit}"
+        return Finding(
+            "torque_drifts",
+            "warning",
+            f"The torque of {found.joint} drifts by {size} over the recording{_worth(found)}",
+            Cure("let the sensor warm up and set it to zero, or identify shorter parts"),
+            joint=found.joint,
+        )
+
 
 @effect
-class Warming(_AtEveryJoint):
+class Warming(_OfTorque):
     """Let the drive's torque change by a share over the recording."""
 
     key, title = "warming", "drift of friction"
+    of_log = False
+    of_shares = True
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the drive times the share of the recording that has passed."""
         rigid, torque = motion.torques
         return [motion.elapsed[:, None] * (torque - rigid)]
+
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
+        """Return by how much friction changes."""
+        return Finding(
+            "friction_drifts",
+            "warning",
+            f"Friction of {found.joint} {'rises' if found.estimate > 0.0 else 'falls'} by"
+            f" {_percent(found)} over the recording, as that of a drive whose temperature changes"
+            f"{_worth(found)}; its parameters are those of the middle",
+            Cure("record cold and warm robots separately"),
+            joint=found.joint,
+        )
+
+
+def _percent(found: FoundEffect) -> str:
+    return f"{plus_minus(100.0 * abs(found.estimate), 100.0 * found.std_error)} %"
+
+
+def _length(size: float, error: float, *, revolute: bool) -> str:
+    scale, unit = (float(np.rad2deg(1.0)), "deg") if revolute else (1e3, "mm")
+    return f"{plus_minus(scale * size, scale * error)} {unit}"
+
+
+def _worth(found: FoundEffect) -> str:
+    """Return what the effect is worth, as the end of a clause."""
+    others = (
+        f"; {' or '.join(found.alternatives)} would explain as much" if found.alternatives else ""
+    )
+    return f" ({found.improvement}{others})"
+
+
+def _listed(model: RobotModel, joint: int, otherwise: str, value: str) -> str:
+    return f"[{', '.join(value if k == joint else otherwise for k in range(model.n_joints))}]"

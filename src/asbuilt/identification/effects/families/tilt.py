@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.identification.effects.effect import Described, Effect, Motion, Variant, effect
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
 
 
 @effect
@@ -25,6 +31,9 @@ class Tilt(Effect):
     in_model = True
     least = float(np.deg2rad(0.25))
     """Accuracy of a floor that is called level."""
+    removable = True
+    farthest = 0.35
+    """[rad] Walls and ceilings belong into the description."""
 
     def size(self, values: Array, covariance: Array, *, revolute: bool) -> tuple[float, float, str]:
         """Return the angle between both directions of gravity [deg]."""
@@ -36,6 +45,14 @@ class Tilt(Effect):
         whole = super().size_text(values, covariance, revolute=revolute)
         parts = np.rad2deg(values)
         return f"{whole} ({parts[0]:+.2f} about x, {parts[1]:+.2f} about y)"
+
+    def without(
+        self, model: RobotModel, samples: Sequence[Samples], joint: int | None, values: Array
+    ) -> tuple[RobotModel, list[Samples]]:
+        """Return the robot with its base turned by a tilt about the axes across gravity."""
+        gravity = np.array(model.gravity)
+        back = Rotation.from_rotvec(-values @ axes_across(gravity))
+        return model.with_gravity(back.apply(gravity)), list(samples)
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the tilt of a robot with gravity."""
