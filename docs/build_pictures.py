@@ -6,6 +6,7 @@ docs/pictures/home.png, which the repository keeps for the README.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -264,6 +265,12 @@ def outdated() -> bool:
     return max(path.stat().st_mtime for path in source) > STAMP.stat().st_mtime
 
 
+def benchmark() -> None:
+    """Draw the results of the open benchmark."""
+    sys.path.append(str(DOCS.parent / "benchmarks" / "open"))
+    importlib.import_module("page").draw_pictures(BUILT / "benchmark")
+
+
 def main() -> None:
     """Build what is outdated."""
     if "--home" in sys.argv:
@@ -279,6 +286,7 @@ def main() -> None:
         tutorial(Path(folder))
         rollouts(Path(folder))
     reproduction()
+    benchmark()
     STAMP.write_text("")
 
 

@@ -12,9 +12,8 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
-from task import HERE, Task, tasks
-
-from run import RESULTS, Tool, tools
+from task import HERE, RESULTS, Task, tasks
+from tool import Tool, tools
 
 Row = dict[str, Any]
 DOCS = HERE.parents[1] / "docs"
@@ -131,7 +130,8 @@ def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> 
         masses = [row["mass_ratio"] for row in done if row.get("mass_ratio") is not None]
         cpu = sorted(row["cpu_seconds"] for row in done)[len(done) // 2]
         lines.append(
-            f"| [{tool.title}]({tool.address}) (`{name}`) | {done[0].get('version')} | {len(done)} |"
+            f"| [{tool.title}]({tool.address}) (`{name}`) | {done[0].get('version')} |"
+            f" {len(done)} |"
             f" {f'{sum(physical)} of {len(physical)}' if physical else MISSING} |"
             f" {f'{min(masses):.2f} to {max(masses):.2f}' if masses else MISSING} |"
             f" {cpu:.1f} s | {done[0].get('lines', MISSING)} |"

@@ -95,8 +95,8 @@ def write_problem(
             values["qd"] = log.qd
         np.savez(folder / f"train_{k}.npz", **values)
     hidden = []
-    for k, log in enumerate(test):
-        log = log if task.test_seconds is None else _first(log, task.test_seconds)
+    for k, whole in enumerate(test):
+        log = whole if task.test_seconds is None else _first(whole, task.test_seconds)
         states = plain_motion(log.t, log.q, None, rate, task.cutoff)
         np.savez(folder / f"test_{k}.npz", t=states.t, q=states.q, qd=states.qd, qdd=states.qdd)
         hidden.append(uniform(log.t, log.tau, states.t))

@@ -1,8 +1,8 @@
 """Weighted least squares on the regressor of any library, as textbooks have it.
 
 `W = [C^T Y(C q + b) | drive columns]` with the coupling C of a mechanism; one variance per joint,
-from a fit to its rows alone (Gautier, IEEE CDC, 1997); base parameters by QR with column pivoting of a
-column-scaled W; errors from independent residuals.
+from a fit to its rows alone (Gautier, IEEE CDC, 1997); base parameters are the first independent
+columns of a column-scaled W; errors are those of independent residuals.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Regression:
 
     @property
     def drives(self) -> tuple[str, ...]:
-        """Drive terms of a joint: viscous, Coulomb, offset, and armature where the motor is read."""
+        """Terms of a joint: viscous, Coulomb, offset, and armature where motor torque is read."""
         return ("Ia", "Fv", "Fc", "Fo") if self.facts.armature else ("Fv", "Fc", "Fo")
 
     @property
@@ -99,11 +99,11 @@ class Regression:
             smooth = smooth.reshape(drives.shape)[rows]
             W.append(np.concatenate([self.bodies(part), smooth], axis=2))
             tau.append(part.tau)
-        n, p = W[0].shape[1:]
+        p = W[0].shape[2]
         return np.concatenate(W).transpose(1, 0, 2).reshape(-1, p), np.concatenate(tau).T.ravel()
 
     def weights(self, W: Array, tau: Array) -> Array:
-        """Return one over the deviation of each row: that of a fit to the rows of its joint alone."""
+        """Return one over the deviation of each row, by a fit to the rows of its joint alone."""
         n, found = self.n_joints, []
         for own, torque in zip(np.split(W, n), np.split(tau, n), strict=True):
             residual = torque - own @ np.linalg.lstsq(own, torque, rcond=1e-8)[0]

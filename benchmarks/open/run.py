@@ -12,6 +12,7 @@ page from that file.
 from __future__ import annotations
 
 import argparse
+import fcntl
 import json
 import os
 import shutil
@@ -150,10 +151,15 @@ def rows(task: Task, chosen: dict[str, Tool], data: Path) -> Iterator[dict[str, 
 
 def store(row: dict[str, Any], path: Path) -> None:
     """Put a row into the file of results in place of an older one of its task and tool."""
-    lines = path.read_text().splitlines() if path.exists() else []
     own = row["task"], row["tool"]
-    kept = [line for line in lines if ((old := json.loads(line))["task"], old["tool"]) != own]
-    path.write_text("\n".join(sorted([*kept, json.dumps(_rounded(row))])) + "\n")
+    with path.open("a+") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # several runs may write at a time
+        file.seek(0)
+        lines = [line for line in file.read().splitlines() if line]
+        kept = [line for line in lines if ((old := json.loads(line))["task"], old["tool"]) != own]
+        file.seek(0)
+        file.truncate()
+        file.write("\n".join(sorted([*kept, json.dumps(_rounded(row))])) + "\n")
 
 
 def _rounded(value: Any, digits: int = 5) -> Any:

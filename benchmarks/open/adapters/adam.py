@@ -49,7 +49,7 @@ def tree_regressor(facts: Facts) -> Any:
 
 
 def spatial_inertia(link: Any) -> Any:
-    """Return the inertia (6, 6) of parameters `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m`, linear first."""
+    """Return the inertia (6, 6), linear first, of `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m`."""
     Ixx, Ixy, Ixz, Iyy, Iyz, Izz, mx, my, mz, m = cs.vertsplit(link)
     S = cs.skew(cs.vertcat(mx, my, mz))
     I = cs.vertcat(cs.horzcat(Ixx, Ixy, Ixz), cs.horzcat(Ixy, Iyy, Iyz), cs.horzcat(Ixz, Iyz, Izz))

@@ -1,4 +1,4 @@
-"""BAM identifies one servo on a pendulum of known inertia; a log of a whole arm is no input of it."""
+"""BAM identifies one servo on a pendulum of known inertia; a log of an arm is no input of it."""
 
 PACKAGE = "bam"
 REQUIRES = ["bam"]

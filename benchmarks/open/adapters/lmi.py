@@ -12,8 +12,9 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+import pinocchio as pin
 from adapter import Facts, Fit
-from pinocchio_regressor import tree_regressor
+from pinocchio_regressor import FROM_PINOCCHIO, tree_regressor
 from regression import Regression
 
 PACKAGE = "cvxpy"
@@ -25,9 +26,6 @@ WEIGHT = 1e-4
 
 def fit(facts: Facts) -> Fit:
     """Identify consistent links."""
-    import pinocchio as pin
-    from pinocchio_regressor import FROM_PINOCCHIO
-
     regression = Regression(facts, tree_regressor(facts))
     W, tau = regression.stacked(facts.plain())
     w = regression.weights(W, tau)

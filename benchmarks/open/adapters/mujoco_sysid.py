@@ -74,7 +74,7 @@ def fit(facts: Facts) -> Fit:
 def specification(facts: Facts) -> Any:
     """Return the robot as MuJoCo reads its URDF, without limits and contacts."""
     spec = mujoco.MjSpec.from_file(facts.urdf)
-    spec.compiler.balanceinertia = True
+    spec.compiler.balanceinertia, spec.compiler.boundinertia = True, 1e-6
     spec.option.gravity = facts.gravity
     spec.option.disableflags |= int(
         mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -140,7 +140,7 @@ def torque(model: Any, facts: Facts, motion: Motion) -> Any:
 def estimates(found: Any, halves: Any, facts: Facts) -> list[Estimate]:
     """Return parameters with their errors; of damping and friction loss also what they are."""
     values, names = found.as_vector(), []
-    for key in found.keys():
+    for key in list(found.keys()):
         names += [f"{key}[{i}]" for i in range(found[key].size)]
     symbols = {"damping": "Fv", "frictionloss": "Fc", "armature": "Ia", "offset": "Fo"}
     own = {
