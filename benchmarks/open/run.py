@@ -33,7 +33,7 @@ from virtual import virtual_problems
 
 ROBOTS = HERE / "robots"
 """Numbers of each robot as asbuilt finds it, of which its page is made."""
-LONGEST = 600.0
+LONGEST = 300.0
 """Seconds that a tool may take for one task."""
 
 

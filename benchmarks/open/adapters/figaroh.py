@@ -125,7 +125,7 @@ def configuration(facts: Facts) -> dict[str, Any]:
                     "filter_type": "butterworth",
                     "filter_order": 4,
                 },
-                "physical_fit": {"enabled": True},
+                "physical_fit": {"enabled": True, "max_seconds": 60.0},
             }
         },
     }
