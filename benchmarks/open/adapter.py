@@ -42,6 +42,7 @@ class Facts:
     test: list[str]
     settings: dict[str, Any]
     description: str = ""
+    loaded: list[str] = field(default_factory=list)
     task: str = ""
 
     @property
@@ -49,15 +50,15 @@ class Facts:
         """Path of the description."""
         return str(self.folder / "robot.urdf")
 
-    def logs(self) -> list[dict[str, Array]]:
-        """Return the logs that are trained on."""
-        return [dict(np.load(self.folder / each)) for each in self.training]
+    def logs(self, names: list[str] | None = None) -> list[dict[str, Array]]:
+        """Return some logs, those that are trained on unless others are named."""
+        return [dict(np.load(self.folder / each)) for each in names or self.training]
 
-    def plain(self) -> list[Motion]:
+    def plain(self, names: list[str] | None = None) -> list[Motion]:
         """Return them after the plain low-pass."""
         return [
             plain_motion(each["t"], each["q"], each["tau"], self.rate, self.cutoff)
-            for each in self.logs()
+            for each in self.logs(names)
         ]
 
 
@@ -112,7 +113,14 @@ def main() -> None:
         module = _load(tool)
         answer["version"] = importlib.metadata.version(module.PACKAGE)
         facts = Facts(folder=folder, **json.loads((folder / "facts.json").read_text()))
+        if facts.loaded and not hasattr(module, "payload"):
+            raise NotImplementedError("it has no function for payloads")
         began = _cpu()
+        if facts.loaded:
+            weighed = module.payload(facts)
+            answer["cpu_seconds"] = _cpu() - began
+            answer |= {"links": None, "parameters": [vars(weighed)]}
+            return
         fit = module.fit(facts)
         answer["cpu_seconds"] = _cpu() - began
         for k, name in enumerate(facts.test):
@@ -127,7 +135,8 @@ def main() -> None:
     except Exception as problem:
         answer["failed"] = f"{type(problem).__name__}: {problem}"
         traceback.print_exc()
-    (out / "answer.json").write_text(json.dumps(answer, default=float))
+    finally:
+        (out / "answer.json").write_text(json.dumps(answer, default=float))
 
 
 if __name__ == "__main__":

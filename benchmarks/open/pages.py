@@ -115,7 +115,9 @@ def _wrong(numbers: dict[str, Any]) -> str:
                 continue
             ratio = each["as_built"] / each["cad"]
             if max(ratio, 1.0 / max(ratio, 1e-9)) > MUCH:
-                lines.append(f"- {each['name']}: {each['cad']:.3g} kg there, {each['as_built']:.3g} kg here")
+                lines.append(
+                    f"- {each['name']}: {each['cad']:.3g} kg there, {each['as_built']:.3g} kg here"
+                )
     return "\n".join(lines) or "Nothing that these logs show beyond friction."
 
 

@@ -94,8 +94,13 @@ def write_problem(
         if log.qd is not None:
             values["qd"] = log.qd
         np.savez(folder / f"train_{k}.npz", **values)
+    loaded = []
+    if task.kind == "payload":
+        loaded = [f"loaded_{k}.npz" for k in range(len(test))]
+        for name, log in zip(loaded, test, strict=True):
+            np.savez(folder / name, t=log.t, q=log.q, tau=log.tau)
     hidden = []
-    for k, whole in enumerate(test):
+    for k, whole in enumerate(() if loaded else test):
         log = whole if task.test_seconds is None else _first(whole, task.test_seconds)
         states = plain_motion(log.t, log.q, None, rate, task.cutoff)
         np.savez(folder / f"test_{k}.npz", t=states.t, q=states.q, qd=states.qd, qdd=states.qdd)
@@ -118,7 +123,8 @@ def write_problem(
         "armature": armature,
         "training": [f"train_{k}.npz" for k in range(len(training))],
         "test": [f"test_{k}.npz" for k in range(len(test))],
-        "settings": task.settings,
+        "settings": {key: value for key, value in task.settings.items() if key != "mass"},
+        "loaded": loaded,
         "description": description or str(folder.resolve() / "robot.urdf"),
     }
     (folder / "facts.json").write_text(json.dumps(facts, indent=1))

@@ -124,6 +124,23 @@ class Regression:
             rigid.append(self.bodies(part) @ standard[:links])
         return np.concatenate(rigid) + self.drive_columns(motion) @ standard[links:]
 
+    def payload(self) -> Estimate:
+        """Return the mass that the last link carries, by the torque that the bare arm leaves.
+
+        The bare arm is that of `weighted_fit`; the ten parameters of the payload are the columns of
+        the last link (Khalil et al., IROS 2007).
+        """
+        W, tau = self.stacked(self.facts.plain())
+        x = np.linalg.lstsq(W, tau, rcond=1e-8)[0]
+        loaded, torque = self.stacked(self.facts.plain(self.facts.loaded))
+        w = self.weights(loaded, torque)
+        last = 10 * len(self.facts.tree_joints)
+        Y, left = loaded[:, last - 10 : last] * w[:, None], (torque - loaded @ x) * w
+        found, *_ = np.linalg.lstsq(Y, left, rcond=None)
+        variance = np.sum((left - Y @ found) ** 2) / (len(left) - 10)
+        error = float(np.sqrt(variance * np.linalg.inv(Y.T @ Y)[9, 9]))
+        return Estimate("payload mass", float(found[9]), error)
+
     def weighted_fit(self) -> Fit:
         """Identify base parameters by weighted least squares."""
         W, tau = self.stacked(self.facts.plain())

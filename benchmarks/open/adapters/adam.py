@@ -8,7 +8,7 @@ import casadi as cs
 import numpy as np
 from adam.casadi import KinDynComputations
 from adam.casadi.casadi_like import CasadiLike
-from adapter import Facts, Fit
+from adapter import Estimate, Facts, Fit
 from regression import Regression
 
 PACKAGE = "adam-robotics"
@@ -20,6 +20,11 @@ ADDRESS = "https://github.com/ami-iit/adam"
 def fit(facts: Facts) -> Fit:
     """Identify base parameters."""
     return Regression(facts, tree_regressor(facts)).weighted_fit()
+
+
+def payload(facts: Facts) -> Estimate:
+    """Weigh what the last link carries."""
+    return Regression(facts, tree_regressor(facts)).payload()
 
 
 def tree_regressor(facts: Facts) -> Any:

@@ -23,15 +23,27 @@ TITLE = "asbuilt"
 ADDRESS = "https://github.com/asbuilt/asbuilt"
 
 
+def recordings(facts: Facts, names: list[str]) -> list[Recording]:
+    """Return logs as recordings."""
+    joints = tuple(facts.joints)
+    return [
+        Recording(joint_names=joints, torque_source=facts.torque_source, source=name, **log)
+        for name, log in zip(names, facts.logs(names), strict=True)
+    ]
+
+
+def payload(facts: Facts) -> Estimate:
+    """Weigh what the flange carries."""
+    bare = recordings(facts, facts.training)
+    study = asbuilt.identify(asbuilt.load_robot(facts.description), bare)
+    found = asbuilt.identify_payload(study, recordings(facts, facts.loaded), unloaded=bare)
+    return Estimate("payload mass", float(found.values[0]), float(found.std_errors[0]))
+
+
 def fit(facts: Facts) -> Fit:
     """Identify with the defaults."""
-    logs = [
-        Recording(
-            joint_names=tuple(facts.joints), torque_source=facts.torque_source, source=name, **log
-        )
-        for name, log in zip(facts.training, facts.logs(), strict=True)
-    ]
-    study = asbuilt.identify(asbuilt.load_robot(facts.description), logs)
+    robot = asbuilt.load_robot(facts.description)
+    study = asbuilt.identify(robot, recordings(facts, facts.training))
     result = study.result
     delays = np.broadcast_to(result.chain.delays or (0.0,), len(facts.joints))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adapter import Facts, Fit
+from adapter import Estimate, Facts, Fit
 from pinocchio_regressor import tree_regressor
 from regression import Regression
 
@@ -15,3 +15,8 @@ ADDRESS = "https://github.com/stack-of-tasks/pinocchio"
 def fit(facts: Facts) -> Fit:
     """Identify base parameters."""
     return Regression(facts, tree_regressor(facts)).weighted_fit()
+
+
+def payload(facts: Facts) -> Estimate:
+    """Weigh what the last link carries."""
+    return Regression(facts, tree_regressor(facts)).payload()

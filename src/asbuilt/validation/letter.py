@@ -48,9 +48,12 @@ class LetterRule:
     @property
     def text(self) -> str:
         """The rule in a sentence."""
-        *graded, (last, _) = self.limits
-        within = ", ".join(f"{name} {share(limit, 0)}" for name, limit in graded)
-        return f"{within}, {last} better than no model, {NO_BETTER} no better than none"
+        (first, least), *graded, (last, _) = self.limits
+        more = ", ".join(f"{name} {share(limit, 0)}" for name, limit in graded)
+        return (
+            f"{first} within {share(least, 0)}, {more}, {last} better than no model, {NO_BETTER} no"
+            " better"
+        )
 
 
 LETTERS = LetterRule()
