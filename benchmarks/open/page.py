@@ -124,6 +124,7 @@ def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> 
         done = [row for row in rows if row.get("cpu_seconds") is not None]
         if not done:
             reason = tool.cannot.get("*") or (rows[0]["note"] if rows else "not run")
+            reason = " ".join(reason.split())
             lines.append(f"| [{tool.title}]({tool.address}) | {MISSING} | 0 | {reason} | | | |")
             continue
         physical = [row["consistent"] for row in done if row.get("consistent") is not None]
@@ -179,7 +180,7 @@ def _task_row(task: Task, name: str, row: Row) -> str:
         MISSING if mass is None else f"{mass:.2f}",
         MISSING if physical is None else ("yes" if physical else "no"),
         MISSING if cpu is None else f"{cpu:.1f} s",
-        note.replace("|", "/").replace("\n", " "),
+        " ".join(note.replace("|", "/").split()),
     ]
     return f"| {' | '.join(cells)} |"
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from plain import plain_motion, uniform
@@ -88,7 +89,8 @@ def write_problem(
     rate = task.rate or _rate(training[0])
     tree = model.tree
     bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in tree.joints)
-    (folder / "robot.urdf").write_text(urdf_text(replace(tree, joints=bare, frames=())))
+    plain = urdf_text(replace(tree, joints=bare, frames=()))
+    (folder / "robot.urdf").write_text(with_origins(plain))
     for k, log in enumerate(training):
         values = {"t": log.t, "q": log.q, "tau": log.tau}
         if log.qd is not None:
@@ -130,6 +132,15 @@ def write_problem(
     (folder / "facts.json").write_text(json.dumps(facts, indent=1))
     described = [link.inertia.mass for link in tree.links]
     return Problem(folder, model, tuple(hidden), truth, sum(described) or None)
+
+
+def with_origins(urdf: str) -> str:
+    """Return a URDF in which every joint and inertia states its origin, which some readers need."""
+    root = ElementTree.fromstring(urdf)
+    for place in (*root.iter("joint"), *root.iter("inertial")):
+        if place.find("origin") is None:
+            place.insert(0, ElementTree.Element("origin", xyz="0 0 0", rpy="0 0 0"))
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _first(log: Recording, seconds: float) -> Recording:

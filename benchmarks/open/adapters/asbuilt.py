@@ -20,7 +20,7 @@ from asbuilt.writers.tables.mass_table import exported_masses
 PACKAGE = "asbuilt"
 REQUIRES: list[str] = []
 TITLE = "asbuilt"
-ADDRESS = "https://github.com/asbuilt/asbuilt"
+ADDRESS = "../index.md"
 
 
 def recordings(facts: Facts, names: list[str]) -> list[Recording]:

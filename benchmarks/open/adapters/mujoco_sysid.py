@@ -19,7 +19,7 @@ PACKAGE = "mujoco"
 REQUIRES = ["mujoco[sysid]>=4.0", "scipy"]
 TITLE = "mujoco.sysid"
 ADDRESS = "https://github.com/google-deepmind/mujoco/tree/main/python/mujoco/sysid"
-ROWS = 800
+ROWS = 500
 """Samples of all logs; each costs an inverse dynamics for each of some ninety parameters."""
 ITERATIONS = 30
 
