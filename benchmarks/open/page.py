@@ -123,7 +123,7 @@ def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> 
         rows = [row for task in shown if (row := results.get((task, name)))]
         done = [row for row in rows if row.get("cpu_seconds") is not None]
         if not done:
-            reason = tool.cannot.get("*") or (rows[0]["note"] if rows else "not run")
+            reason = tool.cannot.get("*", "no result in this run")
             reason = " ".join(reason.split())
             lines.append(f"| [{tool.title}]({tool.address}) | {MISSING} | 0 | {reason} | | | |")
             continue
