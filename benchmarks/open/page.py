@@ -109,6 +109,8 @@ def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Ro
             else (f"{100 * ours:.1f} % to {100 * best:.1f} %")
         )
         behind.append(f"{task} ({numbers} of {who})")
+    if not led and not behind:
+        return ""
     sentence = f"asbuilt leads {led} of {led + len(behind)}"
     return sentence + (f"; it is behind on {', '.join(behind)}." if behind else ".")
 
