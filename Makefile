@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test studies test-lowest fuzz quick check bench docs format wheel clean
+.PHONY: demo test studies test-lowest fuzz quick check bench benchmark docs format wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/asbuilt demo --out out/demo
@@ -48,6 +48,10 @@ fuzz: $(VENV)/.installed-test
 
 bench: $(VENV)/.installed-test
 	$(BIN)/python benchmarks/run.py --out out/bench.json
+
+# The open benchmark with the tools that are installed, on the data that are at hand; its page.
+benchmark: $(VENV)/.installed-test
+	$(BIN)/python benchmarks/open/run.py
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/python docs/build_pictures.py

@@ -6,6 +6,7 @@ docs/pictures/home.png, which the repository keeps for the README.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -260,8 +261,15 @@ def outdated() -> bool:
     """Return whether the source is newer than what was built."""
     if not STAMP.exists():
         return True
-    source = [Path(__file__), *Path(asbuilt.__file__).parent.rglob("*.py")]
+    results = DOCS.parent / "benchmarks" / "open" / "results.jsonl"
+    source = [Path(__file__), results, *Path(asbuilt.__file__).parent.rglob("*.py")]
     return max(path.stat().st_mtime for path in source) > STAMP.stat().st_mtime
+
+
+def benchmark() -> None:
+    """Draw the results of the open benchmark."""
+    sys.path.append(str(DOCS.parent / "benchmarks" / "open"))
+    importlib.import_module("page").draw_pictures(BUILT / "benchmark")
 
 
 def main() -> None:
@@ -279,6 +287,7 @@ def main() -> None:
         tutorial(Path(folder))
         rollouts(Path(folder))
     reproduction()
+    benchmark()
     STAMP.write_text("")
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
+from asbuilt.description.sibling import Sibling, read_sibling
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.identification.bodies.known_masses import (
@@ -137,6 +138,9 @@ class StudyOptions:
     link_mass
         Limits of the masses of single moving links [kg] by name, or text such as
         "hand=0.7+-0.05,link_1<=4"; fit and export keep them.
+    siblings
+        A robot of the same type as built, or the JSON file of its page: its links and drives are
+        the prior in place of those of the description.
     errors
         Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
     block_seconds
@@ -207,6 +211,12 @@ class StudyOptions:
         "known masses of moving links: NAME=KG+-KG, NAME<=KG or NAME>=KG",
         parse=link_masses_from_text,
     )
+    siblings: Sibling | str | Path | None = _option(
+        None,
+        "FILE",
+        "numbers of a robot of the type as built (the JSON of its page) as prior in place of CAD",
+        parse=read_sibling,
+    )
     errors: ErrorKind = _option(
         "blocks",
         "KIND",
@@ -239,14 +249,26 @@ class StudyOptions:
             object.__setattr__(self, "total_mass", total_mass_from_text(self.total_mass))
         if isinstance(self.link_mass, str):
             object.__setattr__(self, "link_mass", link_masses_from_text(self.link_mass))
+        if isinstance(self.siblings, str | Path):
+            object.__setattr__(self, "siblings", read_sibling(self.siblings))
 
     @property
     def wanted_effects(self) -> EffectsWanted:
         """The effects, parsed."""
         return EffectsWanted.parse(self.effects) if isinstance(self.effects, str) else self.effects
 
-    def with_known_masses(self, model: RobotModel) -> RobotModel:
-        """Return a robot with the known masses; raises `UsageError` if it has no such links."""
+    def with_prior(self, model: RobotModel) -> RobotModel:
+        """Return a robot with the numbers of its sibling, if one is given, and the known masses.
+
+        Raises
+        ------
+        UsageError
+            If it has no such links.
+        DescriptionError
+            If the sibling is of another type.
+        """
+        if isinstance(self.siblings, Sibling):
+            model = self.siblings.applied(model)
         total, links = self.total_mass, self.link_mass or {}
         if isinstance(total, str) or isinstance(links, str):  # parsed in `__post_init__`
             return model

@@ -227,7 +227,7 @@ def identify(
     if not isinstance(robot, RobotModel):
         robot = load_robot(robot, fixed_base=reading.fixed_base)
     model, (trained, others) = fitted_recordings(robot, (recordings, validation), reading)
-    model = wanted.with_known_masses(model)
+    model = wanted.with_prior(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
     filters = MotionFilters()
     trained, others, servo, options = settle_servo(model, trained, others, options, filters)

@@ -18,6 +18,7 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE
 from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import benjamini_hochberg
+from asbuilt.validation.letter import LETTERS
 from asbuilt.validation.review.claim import Claim, ClaimVerdict
 from asbuilt.validation.review.claimed_numbers import ClaimedNumber, claimed_numbers
 from asbuilt.validation.review.profile import Profile, profile_numbers
@@ -90,6 +91,16 @@ class Review:
     def __repr__(self) -> str:
         counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in ORDER)
         return f"<Review of {self.robot}: {counts}>"
+
+    @property
+    def error(self) -> float:
+        """Relative torque error of the description on the recordings, NaN if it has no masses."""
+        return self.result.cad.relative_error
+
+    @property
+    def letter(self) -> str | None:
+        """The letter of the description, which was not fitted to the recordings, by `LETTERS`."""
+        return LETTERS.letter(self.error) if np.isfinite(self.error) else None
 
     def count(self, verdict: ClaimVerdict) -> int:
         """Return the number of claims with a verdict."""

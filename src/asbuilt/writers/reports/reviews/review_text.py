@@ -18,6 +18,7 @@ from asbuilt.tables import (
     wrapped,
 )
 from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.letter import LETTERS
 from asbuilt.validation.review.claim import Claim
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
 
@@ -33,6 +34,8 @@ def review_document(review: Review) -> dict[str, Any]:
         "robot": review.robot,
         "recordings": list(review.sources),
         "headline": review_headline(review),
+        "letter": review.letter,
+        "error": review.error,
         "counts": {verdict: review.count(verdict) for verdict in ORDER},
         "false_discovery_rate": review.level,
         "misfit": review.misfit,
@@ -56,7 +59,18 @@ def review_text(
         for each in review.findings
         if finding_text is not None and (full or each.code.startswith("servo_"))
     ]
-    return "\n".join([head, *said, review_table(review).as_text(full)])
+    return "\n".join([head, *letter_lines(review), *said, review_table(review).as_text(full)])
+
+
+def letter_lines(review: Review) -> list[str]:
+    """Return the letter of the description with its rule; nothing if it has no masses."""
+    if review.letter is None:
+        return []
+    sentence = (
+        f"{review.letter}: the description predicts these recordings to {share(review.error)} of"
+        f" the torque ({LETTERS.text})"
+    )
+    return [wrapped(sentence)]
 
 
 def review_headline(review: Review) -> str:

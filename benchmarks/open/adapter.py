@@ -1,0 +1,143 @@
+"""Runs one tool on one prepared task, in the environment of the tool: `adapter.py TOOL FOLDER`.
+
+`adapters/TOOL.py` has `VERSION` (name of its package) and `fit(facts) -> Fit`; only the standard
+library, numpy, scipy, `plain` and `regression` of this folder are its own beside the tool. The CPU
+time [s] of `fit` is that of all threads and children, imports of the tool before it excluded.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import resource
+import sys
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from plain import Motion, plain_motion
+
+Array = Any
+
+
+@dataclass
+class Facts:
+    """What a tool gets: see `prepare`."""
+
+    folder: Path
+    joints: list[str]
+    tree_joints: list[str]
+    tree_links: list[str]
+    coupling: dict[str, Any] | None
+    gravity: list[float]
+    cutoff: float
+    rate: float
+    torque_source: str
+    armature: bool
+    training: list[str]
+    test: list[str]
+    settings: dict[str, Any]
+    description: str = ""
+    loaded: list[str] = field(default_factory=list)
+    task: str = ""
+
+    @property
+    def urdf(self) -> str:
+        """Path of the description."""
+        return str(self.folder / "robot.urdf")
+
+    def logs(self, names: list[str] | None = None) -> list[dict[str, Array]]:
+        """Return some logs, those that are trained on unless others are named."""
+        return [dict(np.load(self.folder / each)) for each in names or self.training]
+
+    def plain(self, names: list[str] | None = None) -> list[Motion]:
+        """Return them after the plain low-pass."""
+        return [
+            plain_motion(each["t"], each["q"], each["tau"], self.rate, self.cutoff)
+            for each in self.logs(names)
+        ]
+
+
+@dataclass
+class Estimate:
+    """A parameter: value, standard error, and the standard parameters that it is a sum of."""
+
+    name: str
+    value: float
+    error: float
+    of: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Fit:
+    """What a tool found; `predict` returns torques (N, n) at states of a `Motion`.
+
+    `links` are (n_links, 10) inertial parameters `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m` about the
+    frame of each moving link, in the order of the joints of the tree; None if the tool has none.
+    """
+
+    predict: Callable[[Motion], Array]
+    parameters: list[Estimate] = field(default_factory=list)
+    links: Array | None = None
+    note: str = ""
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+def _cpu() -> float:
+    own, children = (
+        resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+def _load(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location("tool_adapter", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["tool_adapter"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def main() -> None:
+    """Fit, predict, write `answer.json` and `answer_*.npy` into the folder of answers."""
+    tool, folder, out = Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3])
+    sys.modules["adapter"] = sys.modules["__main__"]
+    answer: dict[str, Any] = {}
+    try:
+        module = _load(tool)
+        answer["version"] = importlib.metadata.version(module.PACKAGE)
+        facts = Facts(folder=folder, **json.loads((folder / "facts.json").read_text()))
+        if facts.loaded and not hasattr(module, "payload"):
+            raise NotImplementedError("it has no function for payloads")
+        began = _cpu()
+        if facts.loaded:
+            weighed = module.payload(facts)
+            answer["cpu_seconds"] = _cpu() - began
+            answer |= {"links": None, "parameters": [vars(weighed)]}
+            return
+        fit = module.fit(facts)
+        answer["cpu_seconds"] = _cpu() - began
+        for k, name in enumerate(facts.test):
+            states = np.load(folder / name)
+            motion = Motion(*(states[key] for key in ("t", "q", "qd", "qdd")))
+            np.save(out / f"answer_{k}.npy", np.asarray(fit.predict(motion), dtype=float))
+        answer["parameters"] = [vars(each) for each in fit.parameters]
+        answer["links"] = None if fit.links is None else np.asarray(fit.links).tolist()
+        answer |= {"note": fit.note, "details": fit.details}
+    except NotImplementedError as reason:
+        answer["cannot"] = str(reason)
+    except Exception as problem:
+        answer["failed"] = f"{type(problem).__name__}: {problem}"
+        traceback.print_exc()
+    finally:
+        (out / "answer.json").write_text(json.dumps(answer, default=float))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,22 @@
+"""Plain weighted least squares on Pinocchio's regressor: the textbook, without any tool."""
+
+from __future__ import annotations
+
+from adapter import Estimate, Facts, Fit
+from pinocchio_regressor import tree_regressor
+from regression import Regression
+
+PACKAGE = "pin"
+REQUIRES = ["pin>=3.4", "scipy"]
+TITLE = "weighted least squares, Pinocchio"
+ADDRESS = "https://github.com/stack-of-tasks/pinocchio"
+
+
+def fit(facts: Facts) -> Fit:
+    """Identify base parameters."""
+    return Regression(facts, tree_regressor(facts)).weighted_fit()
+
+
+def payload(facts: Facts) -> Estimate:
+    """Weigh what the last link carries."""
+    return Regression(facts, tree_regressor(facts)).payload()

@@ -1,0 +1,224 @@
+"""The page of the open benchmark, from the file of results: tables, and a picture for each task."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+from task import HERE, RESULTS, Task, tasks
+from tool import Tool, tools
+
+Row = dict[str, Any]
+DOCS = HERE.parents[1] / "docs"
+PAGE = DOCS / "benchmark" / "index.md"
+PICTURES = DOCS / "built" / "benchmark"
+MISSING = "–"
+KINDS = {
+    "torque": "Torque on another motion",
+    "payload": "Payload of known mass",
+    "command": "Command without torque",
+    "halves": "Two halves: do the stated errors hold?",
+    "virtual": "Virtual robots with known truth",
+}
+
+
+def read_results(path: Path = RESULTS) -> dict[tuple[str, str], Row]:
+    """Return the rows by task and tool."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    return {(row["task"], row["tool"]): row for row in rows}
+
+
+def write_page(path: Path = RESULTS) -> None:
+    """Write the page."""
+    results = read_results(path)
+    shown = {name: task for name, task in tasks().items() if any(t == name for t, _ in results)}
+    parts = [(HERE / "page_head.md").read_text().rstrip()]
+    for kind, title in KINDS.items():
+        own = {name: task for name, task in shown.items() if task.kind == kind}
+        if own:
+            parts.append(f"## {title}\n\n{_kind_table(kind, own, results)}")
+            parts.append(_standing(kind, own, results))
+    parts.append(f"## What else counts\n\n{_tool_table(shown, results)}")
+    parts.append(f"## The tasks\n\n{_task_sections(shown, results)}")
+    parts.append((HERE / "page_tail.md").read_text().rstrip())
+    PAGE.parent.mkdir(parents=True, exist_ok=True)
+    PAGE.write_text("\n\n".join(part for part in parts if part) + "\n")
+
+
+def value_of(kind: str, row: Row | None) -> float | None:
+    """Return the number by which the tools of a kind of task are compared."""
+    return None if row is None else row.get("z_rms" if kind == "halves" else "error")
+
+
+def cell(kind: str, row: Row | None, best: float | None) -> str:
+    """Return a number of a table, the best one in bold."""
+    value = value_of(kind, row)
+    if value is None or row is None:
+        return MISSING
+    if kind == "halves":
+        text = f"{100 * row['coverage']:.0f} % (z {value:.1f})"
+    else:
+        text = f"{100 * value:.1f} %"
+        if kind == "virtual":
+            covered = row.get("coverage")
+            text += "" if covered is None else f"; {100 * covered:.0f} % hold"
+    return f"**{text}**" if value == best else text
+
+
+def best_of(kind: str, values: Sequence[float | None]) -> float | None:
+    """Return the best of some numbers: the least error, or the z nearest to 1 as a factor."""
+    known = [each for each in values if each is not None]
+    if not known:
+        return None
+    return min(known, key=lambda z: max(z, 1.0 / z) if kind == "halves" and z > 0 else z)
+
+
+def _kind_table(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
+    names = list(tools())
+    lines = ["| task | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
+    for task in own:
+        rows = [results.get((task, name)) for name in names]
+        best = best_of(kind, [value_of(kind, row) for row in rows])
+        cells = " | ".join(cell(kind, row, best) for row in rows)
+        lines.append(f"| [{task}](#{task}) | {cells} |")
+    return "\n".join(lines)
+
+
+def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
+    """Say where asbuilt leads, and by how much it does not."""
+    behind, led = [], 0
+    for task in own:
+        values = {name: value_of(kind, results.get((task, name))) for name in tools()}
+        ours, best = values.pop("asbuilt"), best_of(kind, list(values.values()))
+        if ours is None or best is None:
+            continue
+        if best_of(kind, [ours, best]) == ours:
+            led += 1
+            continue
+        who = next(name for name, value in values.items() if value == best)
+        numbers = (
+            f"{ours:.1f} to {best:.1f}"
+            if kind == "halves"
+            else (f"{100 * ours:.1f} % to {100 * best:.1f} %")
+        )
+        behind.append(f"{task} ({numbers} of {who})")
+    if not led and not behind:
+        return ""
+    sentence = f"asbuilt leads {led} of {led + len(behind)}"
+    return sentence + (f"; it is behind on {', '.join(behind)}." if behind else ".")
+
+
+def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
+    lines = [
+        "| tool | version | tasks answered | physically consistent | mass over CAD | CPU, median"
+        " | lines |",
+        "|---|---|---:|---:|---|---:|---:|",
+    ]
+    for name, tool in tools().items():
+        rows = [row for task in shown if (row := results.get((task, name)))]
+        done = [row for row in rows if row.get("cpu_seconds") is not None]
+        if not done:
+            reason = tool.cannot.get("*", "no result in this run")
+            reason = " ".join(reason.split())
+            lines.append(f"| [{tool.title}]({tool.address}) | {MISSING} | 0 | {reason} | | | |")
+            continue
+        physical = [row["consistent"] for row in done if row.get("consistent") is not None]
+        masses = [row["mass_ratio"] for row in done if row.get("mass_ratio") is not None]
+        cpu = sorted(row["cpu_seconds"] for row in done)[len(done) // 2]
+        lines.append(
+            f"| [{tool.title}]({tool.address}) (`{name}`) | {done[0].get('version')} |"
+            f" {len(done)} |"
+            f" {f'{sum(physical)} of {len(physical)}' if physical else MISSING} |"
+            f" {f'{min(masses):.2f} to {max(masses):.2f}' if masses else MISSING} |"
+            f" {cpu:.1f} s | {done[0].get('lines', MISSING)} |"
+        )
+    return "\n".join(lines)
+
+
+def _task_sections(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
+    return "\n\n".join(_task_section(task, results) for task in shown.values())
+
+
+def _task_section(task: Task, results: dict[tuple[str, str], Row]) -> str:
+    source = task.source
+    where = f"[{source.repository}]({source.repository})"
+    if "://" not in source.repository:
+        where = source.repository
+    commit = f", commit {source.commit}" if source.commit else ""
+    lines = [f"### {task.name}", "", f"{task.title}. {task.note}".strip(), ""]
+    lines.append(f"Data: {where}{commit}; licence: {source.licence}.")
+    if task.training:
+        lines.append(f"Training: {_files(task.training)}.")
+    if task.test:
+        start = "" if task.test_seconds is None else f" (first {task.test_seconds:g} s)"
+        lines.append(f"Test: {_files(task.test)}{start}.")
+    lines += [f"Low-pass of the score: {task.cutoff:g} Hz.", ""]
+    own = {name: results.get((task.name, name)) for name in tools()}
+    if task.kind in ("torque", "virtual"):
+        lines += [f"![Error by tool](../built/benchmark/{task.name}.png)", ""]
+    lines += [
+        "| tool | result | mass over CAD | consistent | CPU | note |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, row in own.items():
+        if row is not None:
+            lines.append(_task_row(task, name, row))
+    return "\n".join(lines)
+
+
+def _task_row(task: Task, name: str, row: Row) -> str:
+    mass, physical, cpu = (row.get(key) for key in ("mass_ratio", "consistent", "cpu_seconds"))
+    note = ("failed: " if row.get("failed") else "") + str(row.get("note") or "")
+    cells = [
+        name,
+        cell(task.kind, row, None),
+        MISSING if mass is None else f"{mass:.2f}",
+        MISSING if physical is None else ("yes" if physical else "no"),
+        MISSING if cpu is None else f"{cpu:.1f} s",
+        " ".join(note.replace("|", "/").split()),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _files(paths: Sequence[str]) -> str:
+    return ", ".join(f"`{Path(each).name}`" for each in paths)
+
+
+def draw_pictures(folder: Path = PICTURES, path: Path = RESULTS) -> None:
+    """Draw a bar for each tool and task."""
+    folder.mkdir(parents=True, exist_ok=True)
+    results, known = read_results(path), tools()
+    for task in tasks().values():
+        bars = _bars(task, known, results)
+        if not bars or task.kind == "halves":
+            continue
+        figure, axes = plt.subplots(figsize=(6.4, 0.5 + 0.3 * len(bars)), layout="constrained")
+        names, values = zip(*bars, strict=True)
+        colours = ["#d9731a" if name == "asbuilt" else "#7f9bb8" for name in names]
+        drawn = axes.barh(names, values, color=colours)
+        axes.bar_label(drawn, fmt="%.1f %%", padding=3)
+        axes.invert_yaxis()
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_xlim(0.0, 1.15 * max(values))
+        axes.set_xlabel("error on the test [% of the torque]")
+        figure.savefig(folder / f"{task.name}.png", facecolor="white", dpi=110)
+        plt.close(figure)
+
+
+def _bars(
+    task: Task, known: dict[str, Tool], results: dict[tuple[str, str], Row]
+) -> list[tuple[str, float]]:
+    found = {name: value_of(task.kind, results.get((task.name, name))) for name in known}
+    return [(name, 100.0 * value) for name, value in found.items() if value is not None]
+
+
+if __name__ == "__main__":
+    write_page()
+    draw_pictures()

@@ -1,0 +1,161 @@
+"""What every tool gets of a task: the same description, the same logs, the same states to predict.
+
+A folder holds `facts.json`, `robot.urdf` (the tree of bodies, without meshes), `train_0.npz` (`t`,
+`q`, `tau` as logged, in N m and rad, and `qd` where it is logged) and `test_0.npz` (`t`, `q`, `qd`,
+`qdd` after the plain low-pass). The torque of the test stays with the runner.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from plain import plain_motion, uniform
+from task import Task
+
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.recording import Recording
+from asbuilt.writers.models.urdf import urdf_text
+
+Array = Any
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A prepared task: its folder, the robot, the hidden torques and, where known, the truth.
+
+    `hidden` holds for each test the torque as logged (N, n) on the grid of its states. `truth` are
+    standard parameters by name.
+    """
+
+    folder: Path
+    model: RobotModel
+    hidden: tuple[Array, ...]
+    truth: dict[str, float] | None = None
+    mass: float | None = None
+
+
+def read_task_logs(
+    task: Task, data: Path, scratch: Path
+) -> tuple[RobotModel, list[Any], list[Any]]:
+    """Return the robot, what is trained on and what is predicted."""
+    described = task.description
+    name = described if not described.startswith("models/") else str(data / described)
+    model = load_robot(name)
+    sheet = scratch / "sheet.toml"
+    scratch.mkdir(parents=True, exist_ok=True)
+    sheet.write_text(_toml(task.sheet))
+    logs = [
+        [read_recordings([data / each], model=model, sheet=sheet)[0] for each in paths]
+        for paths in (task.training, task.test)
+    ]
+    return model, *logs
+
+
+def halves(logs: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Return two sets of logs: alternate logs where there are two or more, else first and last."""
+    if len(logs) > 1:
+        return list(logs[::2]), list(logs[1::2])
+    (log,) = logs
+    middle = len(log.t) // 2
+    return [cut(log, slice(0, middle))], [cut(log, slice(middle, None))]
+
+
+def cut(log: Recording, rows: slice) -> Recording:
+    """Return some rows of a log."""
+    qd = None if log.qd is None else log.qd[rows]
+    return replace(log, t=log.t[rows], q=log.q[rows], qd=qd, tau=log.tau[rows], extra={})
+
+
+def write_problem(
+    task: Task,
+    model: RobotModel,
+    training: Sequence[Recording],
+    test: Sequence[Recording],
+    folder: Path,
+    truth: dict[str, float] | None = None,
+    description: str = "",
+) -> Problem:
+    """Write what the tools get."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rate = task.rate or _rate(training[0])
+    tree = model.tree
+    bare = tuple(replace(joint, drive=type(joint.drive)()) for joint in tree.joints)
+    plain = urdf_text(replace(tree, joints=bare, frames=()))
+    (folder / "robot.urdf").write_text(with_origins(plain))
+    for k, log in enumerate(training):
+        values = {"t": log.t, "q": log.q, "tau": log.tau}
+        if log.qd is not None:
+            values["qd"] = log.qd
+        np.savez(folder / f"train_{k}.npz", **values)
+    loaded = []
+    if task.kind == "payload":
+        loaded = [f"loaded_{k}.npz" for k in range(len(test))]
+        for name, log in zip(loaded, test, strict=True):
+            np.savez(folder / name, t=log.t, q=log.q, tau=log.tau)
+    hidden = []
+    for k, whole in enumerate(() if loaded else test):
+        log = whole if task.test_seconds is None else _first(whole, task.test_seconds)
+        states = plain_motion(log.t, log.q, None, rate, task.cutoff)
+        np.savez(folder / f"test_{k}.npz", t=states.t, q=states.q, qd=states.qd, qdd=states.qdd)
+        hidden.append(uniform(log.t, log.tau, states.t))
+    coupling = model.coupling
+    source = training[0].torque_source
+    armature = any(each.key == "armature" for each in usual_drive(model, source).terms)
+    facts = {
+        "task": task.name,
+        "joints": list(model.joint_names),
+        "tree_joints": list(tree.joint_names),
+        "tree_links": list(tree.link_names),
+        "coupling": None
+        if coupling is None
+        else {"matrix": coupling.matrix.tolist(), "offset": coupling.offset.tolist()},
+        "gravity": list(map(float, model.gravity)),
+        "cutoff": task.cutoff,
+        "rate": rate,
+        "torque_source": source,
+        "armature": armature,
+        "training": [f"train_{k}.npz" for k in range(len(training))],
+        "test": [f"test_{k}.npz" for k in range(len(test))],
+        "settings": {key: value for key, value in task.settings.items() if key != "mass"},
+        "loaded": loaded,
+        "description": description or str(folder.resolve() / "robot.urdf"),
+    }
+    (folder / "facts.json").write_text(json.dumps(facts, indent=1))
+    described = [link.inertia.mass for link in tree.links]
+    return Problem(folder, model, tuple(hidden), truth, sum(described) or None)
+
+
+def with_origins(urdf: str) -> str:
+    """Return a URDF in which every joint and inertia states its origin, which some readers need."""
+    root = ElementTree.fromstring(urdf)
+    for place in (*root.iter("joint"), *root.iter("inertial")):
+        if place.find("origin") is None:
+            place.insert(0, ElementTree.Element("origin", xyz="0 0 0", rpy="0 0 0"))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _first(log: Recording, seconds: float) -> Recording:
+    return cut(log, slice(0, int(np.searchsorted(log.t, log.t[0] + seconds))))
+
+
+def _rate(log: Recording) -> float:
+    return float(round(1.0 / float(np.median(np.diff(log.t))), 3))
+
+
+def _toml(sheet: dict[str, Any]) -> str:
+    """Return a recording sheet as TOML."""
+    flat = {key: value for key, value in sheet.items() if not isinstance(value, dict)}
+    lines = [f"{key} = {json.dumps(value)}" for key, value in flat.items()]
+    for key, table in sheet.items():
+        if isinstance(table, dict):
+            lines += [f"[{key}]", *(f"{k} = {json.dumps(v)}" for k, v in table.items())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,221 @@
+"""The open benchmark: every tool on every task, in one run, from the same files.
+
+    python benchmarks/open/run.py                       # what is installed, data in ../shared
+    python benchmarks/open/run.py --install             # environments of the tools first
+    python benchmarks/open/run.py --data DIR --download # fetch data, digests checked
+    python benchmarks/open/run.py --task lwr4 --tool asbuilt --tool wls
+
+Prints one JSON line for each task and tool, adds it to the file of results at once, and writes the
+page from that file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from page import write_page
+from plain import Motion
+from prepare import Problem, halves, read_task_logs, write_problem
+from score import against_truth, agreement, consistent, coverage, relative_error, torque_errors
+from task import DOWNLOADED, HERE, RESULTS, SHARED, Task, download, tasks
+from tool import Tool, tools
+from virtual import virtual_problems
+
+ROBOTS = HERE / "robots"
+"""Numbers of each robot as asbuilt finds it, of which its page is made."""
+LONGEST = 900.0
+"""Seconds that a tool may take for one task."""
+
+
+def answered(tool: Tool, problem: Problem, folder: Path) -> dict[str, Any]:
+    """Return what a tool answers for a problem: see `adapter`."""
+    reason = tool.cannot.get("*")
+    if reason is not None:
+        return {"cannot": reason}
+    if not tool.python.exists():
+        return {"cannot": "not installed; run with --install"}
+    out = folder / f"answers_{tool.name}_{problem.folder.name}"
+    out.mkdir(parents=True, exist_ok=True)
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH" or not tool.requires}
+    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    command = [tool.python, HERE / "adapter.py", tool.path, problem.folder.resolve(), out]
+    settings: dict[str, Any] = {"timeout": LONGEST, "capture_output": True, "text": True}
+    try:
+        done = subprocess.run(command, env=environment | one, check=False, **settings)
+    except subprocess.TimeoutExpired:
+        return {"cannot": f"took more than {LONGEST:.0f} s"}
+    written = out / "answer.json"
+    if not written.exists():
+        return {"failed": f"it stopped with exit code {done.returncode} and no answer"}
+    answer: dict[str, Any] = json.loads(written.read_text())
+    answer["torques"] = [np.load(each) for each in sorted(out.glob("answer_*.npy"))]
+    if "failed" in answer:
+        answer["failed"] = answer["failed"][:300]
+    return answer
+
+
+def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the scores of one tool on the problems of a task."""
+    for each in answers:
+        for key in ("cannot", "failed"):
+            if key in each:
+                return {"note": each[key], "failed": key == "failed"}
+    found: dict[str, Any] = {"cpu_seconds": sum(each["cpu_seconds"] for each in answers)}
+    found["note"] = answers[0].get("note", "")
+    pairs = [
+        torque_errors(
+            _states(problem, k), hidden, answer["torques"][k], _rate(problem), task.cutoff
+        )
+        for problem, answer in zip(problems, answers, strict=True)
+        for k, hidden in enumerate(problem.hidden)
+    ]
+    if task.kind == "payload":
+        weighed, mass = answers[0]["parameters"][0], task.settings["mass"]
+        found["error"] = abs(weighed["value"] / mass - 1.0)
+        found |= coverage(np.array([(weighed["value"] - mass) / weighed["error"]]))
+        found["note"] = f"{weighed['value']:.3g} +- {weighed['error']:.2g} kg for {mass:g} kg"
+        return found
+    if task.kind == "virtual":  # robots of different size: the mean of their errors
+        found["error"] = float(np.mean([relative_error([each], task.norm)[0] for each in pairs]))
+    elif pairs and task.kind != "halves":
+        found["error"], found["per_joint"] = relative_error(pairs, task.norm)
+    if task.kind == "halves":
+        found |= coverage(agreement(answers[0]["parameters"], answers[1]["parameters"]))
+    if task.kind == "virtual":
+        z = [
+            against_truth(answer["parameters"], problem.truth or {})
+            for problem, answer in zip(problems, answers, strict=True)
+        ]
+        found |= coverage(np.concatenate(z))
+    if all(each["links"] is not None for each in answers):
+        masses = [
+            sum(row[9] for row in answer["links"]) / (problem.mass or np.nan)
+            for problem, answer in zip(problems, answers, strict=True)
+        ]
+        found["mass_ratio"] = float(np.mean(masses))
+        found["consistent"] = all(consistent(np.array(each["links"])) for each in answers)
+    if task.kind == "torque":
+        found["details"] = answers[0].get("details", {})
+    return found
+
+
+def _states(problem: Problem, k: int) -> Motion:
+    stored = np.load(problem.folder / f"test_{k}.npz")
+    return Motion(*(stored[key] for key in ("t", "q", "qd", "qdd")))
+
+
+def _rate(problem: Problem) -> float:
+    return float(json.loads((problem.folder / "facts.json").read_text())["rate"])
+
+
+def problems_of(task: Task, data: Path, scratch: Path) -> list[Problem]:
+    """Return the prepared problems of a task: one, two halves, or one for each virtual robot."""
+    if task.kind == "virtual":
+        return virtual_problems(task, scratch)
+    model, training, test = read_task_logs(task, data, scratch)
+    described = task.description
+    own = str((data / described).resolve()) if described.startswith("models/") else described
+    parts = halves(training) if task.kind == "halves" else (training,)
+    return [
+        write_problem(task, model, part, test, scratch / f"part_{k}", description=own)
+        for k, part in enumerate(parts)
+    ]
+
+
+def rows(task: Task, chosen: dict[str, Tool], data: Path) -> Iterator[dict[str, Any]]:
+    """Yield one row for each tool."""
+    scratch = Path(tempfile.mkdtemp(prefix="asbuilt_open_"))
+    try:
+        problems = problems_of(task, data, scratch)
+        for tool in chosen.values():
+            head = {"task": task.name, "tool": tool.name}
+            reason = task.skips.get(tool.name)
+            if reason is not None:
+                yield head | {"note": reason}
+                continue
+            answers = [answered(tool, each, scratch) for each in problems]
+            found = scored(task, problems, answers)
+            yield head | {
+                "version": answers[0].get("version"),
+                **{key: found.get(key) for key in ("error", "coverage", "mass_ratio")},
+                **found,
+                "lines": tool.lines,
+            }
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def store(row: dict[str, Any], path: Path) -> None:
+    """Put a row into the file of results in place of an older one of its task and tool."""
+    own = row["task"], row["tool"]
+    with path.open("a+") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # several runs may write at a time
+        file.seek(0)
+        lines = [line for line in file.read().splitlines() if line]
+        kept = [line for line in lines if ((old := json.loads(line))["task"], old["tool"]) != own]
+        file.seek(0)
+        file.truncate()
+        file.write("\n".join(sorted([*kept, json.dumps(_rounded(row))])) + "\n")
+
+
+def _rounded(value: Any, digits: int = 5) -> Any:
+    """Return numbers with so many digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}")
+    if isinstance(value, dict):
+        return {key: _rounded(each, digits) for key, each in value.items()}
+    return [_rounded(each, digits) for each in value] if isinstance(value, list) else value
+
+
+def main() -> None:
+    """Run, print, write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, help="folder with data/ and models/")
+    parser.add_argument("--download", action="store_true", help="fetch what the folder lacks")
+    parser.add_argument("--task", action="append", choices=list(tasks()), default=[])
+    parser.add_argument("--tool", action="append", choices=list(tools()), default=[])
+    parser.add_argument("--install", action="store_true", help="make the tools' environments")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="file of results")
+    parser.add_argument("--no-page", action="store_true", help="write no page")
+    arguments = parser.parse_args()
+    chosen = {k: v for k, v in tools().items() if not arguments.tool or k in arguments.tool}
+    if arguments.install:
+        for tool in chosen.values():
+            if tool.requires and "*" not in tool.cannot:
+                tool.install()
+    data = arguments.data or (DOWNLOADED if arguments.download else SHARED)
+    for name in arguments.task or list(tasks()):
+        task = tasks()[name]
+        problems = download(task, data) if arguments.download else []
+        lacks, damaged = task.missing(data), task.damaged(data)
+        if lacks or damaged:
+            reason = "; ".join(problems) or f"{data} lacks {', '.join(lacks)}"
+            if damaged:
+                reason = f"the digest of {', '.join(damaged)} differs from that of the task"
+            print(json.dumps({"task": name, "tool": None, "note": reason}), flush=True)
+            continue
+        for row in rows(task, chosen, data):
+            details = row.pop("details", None)
+            print(json.dumps(_rounded(row)), flush=True)
+            if details:
+                ROBOTS.mkdir(exist_ok=True)
+                (ROBOTS / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
+            store(row, arguments.results)
+    if not arguments.no_page:
+        write_page(arguments.results)
+
+
+if __name__ == "__main__":
+    main()

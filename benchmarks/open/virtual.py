@@ -1,0 +1,90 @@
+"""Virtual robots with a known truth: their torque is that of Pinocchio's inverse dynamics.
+
+A robot is drawn from a seed: bodies a few percent off the description, friction and rotors, and
+with `built` what real robots have and descriptions lack: a base that is not level, a torque that
+is logged late, a spring. Logs have encoder counts and noise that is half white, half slow.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from prepare import Problem, write_problem
+from task import Task
+
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.parameters import parameter_names
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.writers.models.urdf import urdf_text
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from outside_robot import OutsideRobot, Sensors, other_bodies
+
+SECONDS, TEST_SECONDS, RATE, HARMONICS = 30.0, 15.0, 100.0, 9
+FRICTION = 0.03
+"""Coulomb friction over the torque limit: that of geared arms with joint torque sensors."""
+NOISE = 0.004
+"""Noise of the torque over its limit."""
+TILT, LATE, SPRING = 2.0, 0.004, 0.02
+"""Base [deg], delay of the torque [s], torque of the spring over its limit per rad."""
+
+
+def virtual_problems(task: Task, folder: Path) -> list[Problem]:
+    """Return one problem for each robot and seed of a task."""
+    return [
+        _problem(task, name, seed, folder / f"{name}_{seed}")
+        for name in task.settings["robots"]
+        for seed in range(task.settings["seeds"])
+    ]
+
+
+def _problem(task: Task, name: str, seed: int, folder: Path) -> Problem:
+    rng = np.random.default_rng([2027, seed])
+    cad = _as_urdf(load_robot(name), folder)
+    robot = _robot(cad, rng, task.settings["built"])
+    limits = np.array([joint.limits.torque for joint in cad.joints])
+    sensors = Sensors(NOISE * limits, turns=(True,) * cad.n_joints, white=0.5)
+    logs = []
+    for seconds, source in ((SECONDS, "training"), (TEST_SECONDS, "test")):
+        motion = random_fourier(cad, rng=rng, duration=seconds, n_harmonics=HARMONICS)
+        logs.append(robot.log(motion, sensors, RATE, rng, source=source, torque_source="sensor"))
+    drive = DriveSet.parse("viscous,coulomb,offset")
+    truth = dict(zip(parameter_names(cad, drive), robot.true_parameters().tolist(), strict=True))
+    return write_problem(task, cad, logs[:1], logs[1:], folder, truth)
+
+
+def _as_urdf(model: RobotModel, folder: Path) -> RobotModel:
+    """Return a robot without drives in the link frames of its URDF, those of the truth."""
+    joints = tuple(replace(joint, drive=type(joint.drive)()) for joint in model.joints)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "cad.urdf"
+    path.write_text(urdf_text(replace(model, joints=joints, frames=())))
+    return load_robot(path)
+
+
+def _robot(cad: RobotModel, rng: np.random.Generator, built: bool) -> OutsideRobot:
+    limits = np.array([joint.limits.torque for joint in cad.joints])
+    n = cad.n_joints
+    coulomb = FRICTION * limits * rng.uniform(0.5, 1.5, size=n)
+    robot = OutsideRobot(
+        other_bodies(cad, rng),
+        viscous=coulomb * rng.uniform(0.5, 1.5, size=n),
+        coulomb=coulomb,
+        offset=rng.normal(scale=0.2, size=n) * coulomb,
+        armature=np.zeros(n),
+    )
+    if not built:
+        return robot
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    stiffness = SPRING * limits[1]
+    return replace(
+        robot,
+        turn=np.deg2rad(TILT) * np.array([np.cos(angle), np.sin(angle), 0.0]),
+        delay=LATE,
+        beside={1: lambda q: stiffness * q},
+    )
