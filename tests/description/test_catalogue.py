@@ -192,7 +192,7 @@ def test_a_bundled_scara_carries_only_the_weight_of_quill_and_tool():
     [
         (
             "kuka-iiwa",
-            r"did you mean 'kuka-iiwa7-r800'.*bundled are dvrk-mtm, dvrk-psm, franka-panda",
+            r"did you mean 'kuka-iiwa7-r800'.*bundled are dvrk-mtm, dvrk-psm, four-bar",
         ),
         ("PUMA560", r"did you mean 'puma-560'"),
         ("nonsense-xyz-123", r"no bundled robot and no file 'nonsense-xyz-123'; bundled are"),
