@@ -17,6 +17,7 @@ from asbuilt.description.structure.couplings import (
     separated,
     tree_order,
 )
+from asbuilt.description.structure.free_base import count_base_joints
 from asbuilt.description.structure.locking import (
     assumed_carriers,
     held_followers,
@@ -28,6 +29,7 @@ from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
     USUAL_GRAVITY,
+    Contact,
     DriveValues,
     Frame,
     Geometry,
@@ -46,6 +48,7 @@ __all__ = [
     "PLAIN_TERMS",
     "ROOT",
     "USUAL_GRAVITY",
+    "Contact",
     "DriveValues",
     "Frame",
     "Geometry",
@@ -85,6 +88,7 @@ class RobotModel:
     `mass_ranges` are what is known of masses beside the description, as from a scale.
     `usual_drive` names the drive terms that this robot calls for, empty for those that the source
     of its torques calls for.
+    `contacts` are where forces that nobody measures may act on a robot with a free base.
     `source` says where the description came from, `citation` whose facts they are.
     """
 
@@ -103,6 +107,7 @@ class RobotModel:
     assumed_carriers: tuple[str, ...] = ()
     mass_ranges: tuple[MassRange, ...] = ()
     usual_drive: str = ""
+    contacts: tuple[Contact, ...] = ()
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
@@ -157,6 +162,8 @@ class RobotModel:
                     f"{self.name} has no moving link {name!r}, whose mass is given; its moving"
                     f" links are {', '.join(self.link_names)}"
                 )
+        for contact in self.contacts:
+            self.placed(contact.frame)
         if self.motor_coupling is not None:
             coupling = np.array(self.motor_coupling, dtype=np.float64)
             if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(
@@ -210,6 +217,34 @@ class RobotModel:
     def n_links(self) -> int:
         """Number of moving links, each with ten inertial parameters."""
         return len(self.links)
+
+    @property
+    def n_floating(self) -> int:
+        """Number of coordinates of the base, which come first: 6, 3 if planar, 0 if it is fixed."""
+        return count_base_joints(self.joints, self.links)
+
+    @cached_property
+    def standing(self) -> RobotModel:
+        """The robot with its base held still at zero; itself on a fixed root."""
+        held = dict.fromkeys(self.joint_names[: self.n_floating], 0.0)
+        return replace(self.locked(held), locked_joints=self.locked_joints) if held else self
+
+    def placed(self, name: str) -> tuple[int, Array]:
+        """Return link and placement (4, 4) of a frame or a link by its name.
+
+        Raises `DescriptionError` where there is none that moves.
+        """
+        if name in self.link_names:
+            return self.link_names.index(name), np.eye(4)
+        for frame in self.frames:
+            if frame.name == name and frame.link != ROOT:
+                return frame.link, frame.placement
+        names = [*self.link_names, *(frame.name for frame in self.frames if frame.link != ROOT)]
+        raise DescriptionError(
+            f"{self.name} has no moving link or frame {name!r}; it has {', '.join(names)}",
+            value=name,
+            available=names,
+        )
 
     @property
     def link_joints(self) -> tuple[int, ...]:

@@ -205,7 +205,12 @@ def identify(
     wanted, reading = replace(options or StudyOptions(), **of_study), ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
     if not isinstance(robot, RobotModel):
-        robot = load_robot(robot, fixed_base=reading.fixed_base)
+        robot = load_robot(
+            robot,
+            fixed_base=reading.fixed_base,
+            base="free" if reading.free_base else "fixed",
+            contacts=reading.contacts or "",
+        )
     model, (trained, others) = fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_known_masses(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted
@@ -261,12 +266,12 @@ def _prepared(
         model,
         trained,
         validation=others,
-        chain=options.chain,
+        chain=_undelayed(options.chain) if model.n_floating else options.chain,
         holdout=options.holdout,
         checked=options.checked,
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
-        estimate_delay=servo is None,
+        estimate_delay=servo is None and not model.n_floating,
         filters=filters,
         progress=report,
     )
@@ -274,6 +279,15 @@ def _prepared(
     if servo is not None:
         prepared = replace(prepared, delay=servo_delays(servo, trained, prepared.digests))
     return prepared, sweeps[0] if sweeps else None
+
+
+def _undelayed(chain: SignalChain | None) -> SignalChain:
+    """Return a chain that does not look for delays on a free base.
+
+    The torque of a joint is in the rows of all, so that no joint shows its delay alone.
+    """
+    chain = chain or SignalChain()
+    return replace(chain, delay=None) if chain.delay == "auto" else chain
 
 
 def _all_fitted() -> UsageError:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import checked_placement
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, UsageError
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
 Symbols = tuple[tuple[tuple[float, str], ...], ...]
@@ -213,6 +213,42 @@ class Frame:
             "placement",
             checked_placement(self.placement, f"the placement of frame {self.name!r}"),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Name a frame at which the ground, or anything else, may push the robot.
+
+    A force acts at its origin, of a `flat` one a moment too, as under the sole of a foot.
+    """
+
+    frame: str
+    flat: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> tuple[Contact, ...]:
+        """Return the contacts of a list such as `left_foot:flat,right_foot:flat`.
+
+        Raises `UsageError` for one that is empty or given twice.
+        """
+        found = tuple(
+            cls(name.strip(), bool(flat) and kind.strip() == "flat")
+            for name, flat, kind in (each.partition(":") for each in text.split(","))
+        )
+        names = [each.frame for each in found]
+        wrong = [name for name in names if not name or names.count(name) > 1]
+        if wrong or any(
+            str(each) != given.strip() for each, given in zip(found, text.split(","), strict=True)
+        ):
+            raise UsageError(
+                f"contacts are names of links or frames, each once, as in FL_FOOT,FR_FOOT or"
+                f" left_foot:flat, got {text!r}",
+                value=text,
+            )
+        return found
+
+    def __str__(self) -> str:
+        return f"{self.frame}:flat" if self.flat else self.frame
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,10 +99,15 @@ def conclude_study(
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
     result = conclude(fits.final)
-    effects = confirmed_effects(result, fits.samples, block_seconds=options.block_seconds)
+    floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
+    effects = (
+        ()
+        if floats
+        else confirmed_effects(result, fits.samples, block_seconds=options.block_seconds)
+    )
     final = with_effects(fits.final, fits.samples, effects, block_seconds=options.block_seconds)
     result = result if final.omitted is None else conclude(final)
-    attribution = None if cause_data is None else attribute(result)
+    attribution = None if cause_data is None or floats else attribute(result)
     findings = (
         *result.findings,
         *_drive_findings(fits.choice),
@@ -149,7 +154,7 @@ def _model_findings(
         *effect_findings(fits.effects),
         *log_error_findings(
             result,
-            fits.samples if fits.servo is None else (),
+            fits.samples if fits.servo is None and not fits.model.n_floating else (),
             mounting=fits.mounting,
             block_seconds=options.block_seconds,
         ),

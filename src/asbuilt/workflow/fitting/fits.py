@@ -209,6 +209,8 @@ def _open_effects(model: RobotModel, options: StudyOptions, source: str) -> set[
     commands stand for torques, whose servo is another unknown, drive terms are open only if that is
     asked for.
     """
+    if model.n_floating:
+        return set()  # a column of one joint is in the rows of all where contacts are closed
     looking = options.wanted_effects.choice in ("auto", "find")
     keys = set(EFFECTS) if looking else set(drive_effects())
     stated = isinstance(options.drive, DriveSet) or (model.usual_drive and not options.drive)
