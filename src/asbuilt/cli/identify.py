@@ -369,7 +369,9 @@ def compare(
             design,
             tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance),
         ),
-        attribute(identified, design) if identified.cause_data is not None else None,
+        attribute(identified, design)
+        if identified.cause_data is not None and not identified.model.n_floating
+        else None,
         determination(identified),
     )
     files = write_comparison(out, identified, verdict) if out is not None else {}

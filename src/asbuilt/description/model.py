@@ -266,6 +266,8 @@ class RobotModel:
     def tool_link(self) -> int:
         """Link that carries a tool: that of the last drive; below fingers, the one that has them.
 
+        On a free base that is the base.
+
         Fingers are links of different branches that one drive moves.
 
         Examples
@@ -274,6 +276,8 @@ class RobotModel:
         >>> bundled_robot("puma-560").tool_link
         5
         """
+        if self.n_floating:
+            return self.n_floating - 1
         parents, link = self.parents, self.n_joints - 1
         driven = [set(np.flatnonzero(row).tolist()) for row in self.link_shares]
         while (up := parents[link]) != ROOT and any(

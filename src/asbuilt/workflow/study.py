@@ -266,12 +266,12 @@ def _prepared(
         model,
         trained,
         validation=others,
-        chain=_undelayed(options.chain) if model.n_floating else options.chain,
+        chain=options.chain,
         holdout=options.holdout,
         checked=options.checked,
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
-        estimate_delay=servo is None and not model.n_floating,
+        estimate_delay=servo is None,
         filters=filters,
         progress=report,
     )
@@ -279,15 +279,6 @@ def _prepared(
     if servo is not None:
         prepared = replace(prepared, delay=servo_delays(servo, trained, prepared.digests))
     return prepared, sweeps[0] if sweeps else None
-
-
-def _undelayed(chain: SignalChain | None) -> SignalChain:
-    """Return a chain that does not look for delays on a free base.
-
-    The torque of a joint is in the rows of all, so that no joint shows its delay alone.
-    """
-    chain = chain or SignalChain()
-    return replace(chain, delay=None) if chain.delay == "auto" else chain
 
 
 def _all_fitted() -> UsageError:

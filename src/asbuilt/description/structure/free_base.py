@@ -14,7 +14,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.parts import Joint, Link
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.findings import Cure
 
 BaseKind = Literal["fixed", "free", "planar"]
 
@@ -33,6 +34,11 @@ JOINTS_OF: dict[BaseKind, tuple[str, ...]] = {
     "planar": ("base_x", "base_y", "base_yaw"),
 }
 WORLD = "world"
+
+
+def base_of(n_floating: int) -> BaseKind:
+    """Return the kind of a base with so many coordinates."""
+    return next(kind for kind, names in JOINTS_OF.items() if len(names) == n_floating)
 
 
 def count_base_joints(joints: Sequence[Joint], links: Sequence[Link]) -> int:
@@ -163,3 +169,14 @@ def _carries_mass(root: Element, top: str) -> bool:
             if parent is not None and child is not None and parent.get("link") in held:
                 held.add(child.get("link", ""))
     return bool(held & inertial)
+
+
+def refuse_free_base(robot: str, n_floating: int, what: str) -> None:
+    """Raise `UsageError` where a robot with a free base is asked for what needs a fixed root."""
+    if n_floating:
+        raise UsageError(
+            f"{robot} has a free base, and {what}",
+            cure=Cure(
+                "hold its base, if it hangs or stands clamped", settings={"fixed_base": True}
+            ),
+        )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
@@ -200,7 +200,7 @@ def _falls(model: RobotModel, recording: Recording) -> bool:
     return bool(fall > 0.5 * np.linalg.norm(model.gravity))
 
 
-def _late(speed: Array, closed: Array, rate: float) -> float:
+def _late(speed: Array, closed: Mask, rate: float) -> float:
     """Return by how long [s] flags come late (early if negative), 0 if they are right.
 
     Speeds beyond their median count as that, since feet in the air have any.
@@ -223,10 +223,10 @@ def _late(speed: Array, closed: Array, rate: float) -> float:
     return best / rate if named else 0.0
 
 
-def _inside(closed: Array, margin: int) -> Array:
+def _inside(closed: Mask, margin: int) -> Mask:
     """Return which samples are closed and `margin` away from any that is open."""
-    reach = np.convolve(~closed, np.ones(2 * margin + 1), mode="same")
-    return np.asarray(reach == 0.0)
+    reach = np.convolve((~closed).astype(np.float64), np.ones(2 * margin + 1), mode="same")
+    return np.asarray(reach == 0.0, dtype=np.bool_)
 
 
 def _size(x: Array) -> float:
