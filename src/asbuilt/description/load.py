@@ -38,8 +38,8 @@ def load_robot(
     base
         "free" or "planar" if the first body stands on joints without a drive.
     contacts
-        Links or frames of such a robot that may touch the ground, as in `FL_FOOT,FR_FOOT`, with
-        `:flat` after those that take moments too.
+        Links or frames of such a robot that may touch the ground, as in `FL_FOOT,FR_FOOT`, `:flat`
+        after a sole and `:RADIUS` [m] after a ball, which touches below its centre.
     trust_xacro
         Whether a xacro file may run any Python that its expressions hold; else they are evaluated
         on a list of arithmetic, properties and `math`, and include only files beside it.

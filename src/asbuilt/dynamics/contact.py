@@ -34,8 +34,10 @@ def contact_jacobians(model: RobotModel, q: Array) -> tuple[Array, ...]:
         turn, J = poses[:, link, :3, :3], jacobians[:, link]
         swung = np.cross(np.swapaxes(J[:, :3], 1, 2), placement[:3, 3])
         point = J[:, 3:] + np.swapaxes(swung, 1, 2)
-        rows = [turn @ point, turn @ J[:, :3]] if contact.flat else [turn @ point]
-        found.append(np.concatenate(rows, axis=1))
+        linear, angular = turn @ point, turn @ J[:, :3]
+        below = np.cross(np.swapaxes(angular, 1, 2), [0.0, 0.0, -contact.radius])
+        linear = linear + np.swapaxes(below, 1, 2)
+        found.append(np.concatenate([linear, angular], axis=1) if contact.flat else linear)
     return tuple(found)
 
 

@@ -219,36 +219,44 @@ class Frame:
 class Contact:
     """Name a frame at which the ground, or anything else, may push the robot.
 
-    A force acts at its origin, of a `flat` one a moment too, as under the sole of a foot.
+    A force acts `radius` [m] below its origin, as under a ball; of a `flat` one a moment too, as
+    under the sole of a foot.
     """
 
     frame: str
     flat: bool = False
+    radius: float = 0.0
 
     @classmethod
     def parse(cls, text: str) -> tuple[Contact, ...]:
-        """Return the contacts of a list such as `left_foot:flat,right_foot:flat`.
+        """Return the contacts of a list such as `left_foot:flat,right_foot:flat` or `toe:0.02`.
 
-        Raises `UsageError` for one that is empty or given twice.
+        Raises `UsageError` for one that makes no sense or is given twice.
         """
-        found = tuple(
-            cls(name.strip(), bool(flat) and kind.strip() == "flat")
-            for name, flat, kind in (each.partition(":") for each in text.split(","))
-        )
-        names = [each.frame for each in found]
-        wrong = [name for name in names if not name or names.count(name) > 1]
-        if wrong or any(
-            str(each) != given.strip() for each, given in zip(found, text.split(","), strict=True)
-        ):
+        found = [cls._parsed(each) for each in text.split(",")]
+        names = [each.frame for each in found if each is not None]
+        if None in found or len({*names, ""}) <= len(names):
             raise UsageError(
-                f"contacts are names of links or frames, each once, as in FL_FOOT,FR_FOOT or"
-                f" left_foot:flat, got {text!r}",
+                "contacts are names of links or frames, each once, as in FL_FOOT,FR_FOOT; :flat"
+                f" after a sole, or the radius [m] of a ball, as in toe:0.02; got {text!r}",
                 value=text,
             )
-        return found
+        return tuple(each for each in found if each is not None)
+
+    @classmethod
+    def _parsed(cls, text: str) -> Contact | None:
+        name, given, kind = (part.strip() for part in text.partition(":"))
+        if not given or kind == "flat":
+            return cls(name, flat=bool(given))
+        try:
+            radius = float(kind)
+        except ValueError:
+            return None
+        return cls(name, radius=radius) if 0.0 <= radius < np.inf else None
 
     def __str__(self) -> str:
-        return f"{self.frame}:flat" if self.flat else self.frame
+        kind = "flat" if self.flat else f"{self.radius!r}" if self.radius else ""
+        return f"{self.frame}:{kind}" if kind else self.frame
 
 
 @dataclass(frozen=True, eq=False)

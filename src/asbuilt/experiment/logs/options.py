@@ -234,7 +234,7 @@ class ReadingOptions:
     contacts: str | None = field(
         default=None,
         metadata={
-            "help": "links or frames that may touch the ground; NAME:flat takes moments too",
+            "help": "links or frames that touch the ground; NAME:flat: a sole, NAME:M: a ball of this radius",
             "metavar": "FRAME,...",
         },
     )

@@ -265,7 +265,10 @@ def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:
 
 def _difference(model: RobotModel, read: RobotModel) -> Array:
     q, qd, qdd = sample_states(model, 200)
-    expected = inverse_dynamics(model, q, qd, qdd)
+    chi = model.parameters
+    for k in (k for k, link in enumerate(model.links) if link.negligible):
+        chi[10 * k : 10 * k + 10] = read.links[k].inertia.parameters
+    expected = inverse_dynamics(model, q, qd, qdd, parameters=chi)
     return np.asarray(
         np.abs(inverse_dynamics(replace(read, gravity=model.gravity), q, qd, qdd) - expected).max(
             axis=0
