@@ -128,7 +128,7 @@ Contacts = Annotated[
     typer.Option(
         "--contacts",
         metavar="FRAME,...",
-        help="links or frames that touch the ground; NAME:flat: a sole, NAME:M: a ball of this radius",
+        help="links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
     ),
 ]
 Out = Annotated[

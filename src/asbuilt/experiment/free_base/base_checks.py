@@ -203,9 +203,9 @@ def _falls(model: RobotModel, recording: Recording) -> bool:
 def _late(speed: Array, closed: Mask, rate: float) -> float:
     """Return by how long [s] flags come late (early if negative), 0 if they are right.
 
-    Speeds beyond their median count as that, since feet in the air have any.
+    Speeds beyond nine tenths of them count as that, since feet in the air have any.
     """
-    capped = np.minimum(speed, np.median(speed, axis=0)) ** 2
+    capped = np.minimum(speed, np.quantile(speed, 0.9, axis=0)) ** 2
     changing = [k for k in range(closed.shape[1]) if closed[:, k].any() and not closed[:, k].all()]
     most = round(LIMITS.longest_shift * rate)
     if not changing or len(closed) < 4 * most:

@@ -234,7 +234,7 @@ class ReadingOptions:
     contacts: str | None = field(
         default=None,
         metadata={
-            "help": "links or frames that touch the ground; NAME:flat: a sole, NAME:M: a ball of this radius",
+            "help": "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
             "metavar": "FRAME,...",
         },
     )

@@ -16,23 +16,20 @@ Limits = tuple[float, float]
 
 NUMBER = r"\d*\.?\d+(?:[eE][+-]?\d+)?"
 WITHIN = re.compile(rf"(?P<mass>{NUMBER})\s*(?:\+/?-|±)\s*(?P<error>{NUMBER})")
-ALONE = re.compile(r"\d*\.?\d+")
 BOUND = re.compile(rf"(?P<side><=|>=)\s*(?P<mass>{NUMBER})")
 OF_LINK = re.compile(r"(?P<name>[^=<>]+?)\s*(?:=\s*(?P<within>[^=<>].*)|(?P<bound>[<>]=.*))")
 EXAMPLE = Cure("write 18.6+-0.1, <=19 or >=18")
 
 
 def limits_from_text(text: str) -> Limits:
-    """Return the limits [kg] of `KG+-KG` (a mass and its error), `KG`, `<=KG` or `>=KG`.
+    """Return the limits [kg] of `KG+-KG` (a mass and its error), `<=KG` or `>=KG`.
 
-    A mass without an error is known to its last digit. Raises `UsageError` for any other text.
+    Raises `UsageError` for any other text.
 
-    >>> limits_from_text("18.5+-0.25"), limits_from_text("<=3"), limits_from_text("2.50")
-    ((18.25, 18.75), (0.0, 3.0), (2.495, 2.505))
+    >>> limits_from_text("18.5+-0.25"), limits_from_text("<=3")
+    ((18.25, 18.75), (0.0, 3.0))
     """
     text = text.strip()
-    if ALONE.fullmatch(text) is not None:
-        text += f"+-{0.5 * 10.0 ** -len(text.partition('.')[2]):g}"
     if (found := WITHIN.fullmatch(text)) is not None:
         mass, error = float(found["mass"]), float(found["error"])
         lower, upper = max(mass - error, 0.0), mass + error
@@ -40,7 +37,7 @@ def limits_from_text(text: str) -> Limits:
         mass = float(found["mass"])
         lower, upper = (0.0, mass) if found["side"] == "<=" else (mass, math.inf)
     else:
-        raise UsageError(f"a known mass is KG+-KG, KG, <=KG or >=KG; got {text!r}", cure=EXAMPLE)
+        raise UsageError(f"a known mass is KG+-KG, <=KG or >=KG; got {text!r}", cure=EXAMPLE)
     if not (lower < upper and math.isfinite(lower)):
         raise UsageError(
             f"a known mass needs an error above 0 and limits above 0 kg; got {text!r}", cure=EXAMPLE
