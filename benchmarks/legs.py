@@ -31,7 +31,7 @@ NOISE = {"position": 2e-5, "torque": 0.02, "place": 2e-5, "turn": 2e-5}
 """Standard deviations [rad, N m per 10 kg, m, rad]: encoders, drives, motion capture, filtered."""
 VISCOUS = 0.02
 """Damping of every joint [N m s/rad]."""
-RATE, SECONDS = 500.0, 40.0
+RATE, SECONDS = 500.0, 20.0
 
 
 def altered(model: RobotModel, rng: np.random.Generator) -> RobotModel:
