@@ -80,7 +80,7 @@ def identify(
     if not options.rollout:
         shares = {"--workers": workers is not None, "--scheduler": scheduler is not None}
         refuse_idle("only rollouts are shared", shares)
-    model, swept = described_robot(robot, fixed_base=reading.fixed_base), filtering.cutoff == "auto"
+    model, swept = described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
     with progress_bar() as report, shared_work(workers, scheduler) as shared:
@@ -282,9 +282,7 @@ def _validate_described(
             "--out writes the predictions of a result; for a robot as described there is only"
             " the table, and a page of its rollouts (--rollout)"
         )
-    model, (logged,) = robot_and_recordings(
-        described_robot(robot, fixed_base=reading.fixed_base), reading, log
-    )
+    model, (logged,) = robot_and_recordings(described_robot(robot, **reading.of_base), reading, log)
     from asbuilt.workflow.simulation.rollout import roll_out_robot
     from asbuilt.workflow.validation import validate_robot
     from asbuilt.writers.files import path_texts
@@ -423,7 +421,9 @@ def compare(
             design,
             tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance),
         ),
-        attribute(identified, design) if identified.cause_data is not None else None,
+        attribute(identified, design)
+        if identified.cause_data is not None and not identified.model.n_floating
+        else None,
         determination(identified),
     )
     files = write_comparison(out, identified, verdict) if out is not None else {}

@@ -59,7 +59,7 @@ def check(
     """
     distinct_logs(log)
     model, (recordings,) = robot_and_recordings(
-        described_robot(robot, fixed_base=reading.fixed_base), reading, log
+        described_robot(robot, **reading.of_base), reading, log
     )
     from asbuilt.experiment.quality.checks import check_recording
     from asbuilt.workflow.information_efficiency import recorded_information

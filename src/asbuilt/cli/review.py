@@ -51,7 +51,7 @@ def review(
     supported, contradicted or undetermined, and what each is an alias of.
     """
     distinct_logs(log)
-    model, swept = described_robot(robot, fixed_base=reading.fixed_base), filtering.cutoff == "auto"
+    model, swept = described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     with progress_bar() as report:
         report("read", 0.0)

@@ -12,8 +12,10 @@ import typer
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
+    Contacts,
     Drive,
     FixedBase,
+    FreeBase,
     Full,
     Out,
     Processes,
@@ -61,6 +63,8 @@ def drives(full: Full = False, as_json: AsJson = False) -> None:
 def show(
     robot: RobotOrResult,
     fixed_base: FixedBase = False,
+    free_base: FreeBase = False,
+    contacts: Contacts = None,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -71,10 +75,19 @@ def show(
     from asbuilt.writers.tables.robot_tables import robot_document, robot_text
 
     if Path(robot).suffix.lower() != ".json":
-        model = described_robot(robot, fixed_base=fixed_base)
+        model = described_robot(
+            robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
+        )
         answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
         return
-    refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
+    refuse_idle(
+        "the robot of a result is taken as it was identified",
+        {
+            "--fixed-base": fixed_base,
+            "--free-base": free_base,
+            "--contacts": contacts is not None,
+        },
+    )
     result = read_result(Path(robot))
     from asbuilt.writers.models.as_built import as_built_model
     from asbuilt.writers.tables.mass_table import exported_masses, mass_table
@@ -123,6 +136,8 @@ def base(
     robot: Robot,
     drive: Drive = None,
     fixed_base: FixedBase = False,
+    free_base: FreeBase = False,
+    contacts: Contacts = None,
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
@@ -131,6 +146,7 @@ def base(
     The full text says why, parameter by parameter.
     """
     from asbuilt.dynamics.base.base_parameters import find_base_parameters
+    from asbuilt.dynamics.drives.defaults import on_driven_joints
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.tables import stacked
     from asbuilt.writers.tables.robot_tables import (
@@ -140,8 +156,9 @@ def base(
     )
     from asbuilt.writers.tables.tabular import base_document
 
-    model = described_robot(robot, fixed_base=fixed_base)
-    found = find_base_parameters(model, DriveSet.parse(drive or model.usual_drive or "none"))
+    model = described_robot(robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts)
+    chosen = DriveSet.parse(drive or model.usual_drive or "none")
+    found = find_base_parameters(model, on_driven_joints(model, chosen))
     standard = standard_table if full else identifiability_table
     answer(
         as_json,

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
 from asbuilt.description.formats.registry import FORMATS, format_of, known_suffixes
 from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, outermost_tag
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import Contact, RobotModel
 from asbuilt.description.robots.published import published_description
-from asbuilt.errors import DescriptionError
+from asbuilt.description.structure.free_base import BaseKind
+from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.findings import Cure
 from asbuilt.untrusted import file_named, read_bytes, reason, xacro_trusted
 
 
 def load_robot(
-    name_or_path: str | os.PathLike[str], *, fixed_base: bool = False, trust_xacro: bool = False
+    name_or_path: str | os.PathLike[str],
+    *,
+    fixed_base: bool = False,
+    base: BaseKind = "fixed",
+    contacts: str = "",
+    trust_xacro: bool = False,
 ) -> RobotModel:
     """Load a bundled robot by name, or a description by path.
 
@@ -27,6 +35,11 @@ def load_robot(
         a format that another distribution registers. XML is recognised by content.
     fixed_base
         Whether a free joint is held at its pose, as of a robot hung in the air.
+    base
+        "free" or "planar" if the first body stands on joints without a drive.
+    contacts
+        Links or frames of such a robot that may touch the ground, as in `FL_FOOT,FR_FOOT`, `:flat`
+        after a sole and `:RADIUS` [m] after a ball, which touches below its centre.
     trust_xacro
         Whether a xacro file may run any Python that its expressions hold; else they are evaluated
         on a list of arithmetic, properties and `math`, and include only files beside it.
@@ -47,12 +60,20 @@ def load_robot(
     ('joint_1', 'joint_2')
     """
     with xacro_trusted(trust_xacro):
-        return _loaded(os.fspath(name_or_path), fixed_base)
+        found = _loaded(os.fspath(name_or_path), fixed_base, base)
+    if not contacts:
+        return found
+    if not found.n_floating:
+        raise UsageError(
+            f"{found.name} stands on a fixed root, where contacts {contacts} have no effect",
+            cure=Cure("let its base float", settings={"free_base": True}),
+        )
+    return replace(found, contacts=Contact.parse(contacts))
 
 
-def _loaded(text: str, fixed_base: bool) -> RobotModel:
+def _loaded(text: str, fixed_base: bool, base: BaseKind) -> RobotModel:
     if text in robot_names():
-        return bundled_robot(text)
+        return _floating_or_fixed(bundled_robot(text), base)
     path = Path(text)
     try:
         exists = bool(text) and path.exists()
@@ -61,7 +82,7 @@ def _loaded(text: str, fixed_base: bool) -> RobotModel:
         shown = text if len(text) < 200 else f"{text[:60]}..."
         raise DescriptionError(f"{shown} cannot be read: {reason(error)}") from None
     if exists and not is_folder:
-        return _read(path, fixed_base)
+        return _read(path, fixed_base, base)
     suffixes, bundled = ", ".join(known_suffixes()), ", ".join(robot_names())
     if is_folder:
         raise DescriptionError(
@@ -69,7 +90,7 @@ def _loaded(text: str, fixed_base: bool) -> RobotModel:
             f" ({bundled})"
         )
     if text.isidentifier() and text.endswith("_description"):
-        return _read(published_description(text), fixed_base)
+        return _read(published_description(text), fixed_base, base)
     if path.suffix.lower() in known_suffixes():
         raise DescriptionError(
             f"there is no file {text}; give the path of a description ({suffixes})", file=text
@@ -80,7 +101,7 @@ def _loaded(text: str, fixed_base: bool) -> RobotModel:
     )
 
 
-def _read(path: Path, fixed_base: bool) -> RobotModel:
+def _read(path: Path, fixed_base: bool, base: BaseKind) -> RobotModel:
     content = read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION)
     found = format_of(path, content)
     if found is None and outermost_tag(content):
@@ -91,6 +112,19 @@ def _read(path: Path, fixed_base: bool) -> RobotModel:
             f"{path} is not a robot description in a known format; formats are {titles}",
             file=str(path),
         )
+    if base != "fixed" and found.read_on_base is not None:
+        return found.read_on_base(path, base)
     read = found.read_fixed if fixed_base and found.read_fixed is not None else found.read
     with file_named(path):
-        return read(path)
+        return _floating_or_fixed(read(path), base)
+
+
+def _floating_or_fixed(model: RobotModel, base: BaseKind) -> RobotModel:
+    """Return a robot as read; raise where its base should float and its description fixes it."""
+    if base == "fixed":
+        return model
+    raise DescriptionError(
+        f"{model.name}: this description has a fixed root link {model.root_link!r}, whose mass it"
+        " does not give, so that it cannot float",
+        cure=Cure("give a URDF, or an MJCF with a <freejoint/>"),
+    )

@@ -19,6 +19,7 @@ from asbuilt.description.structure.couplings import (
     separated,
     tree_order,
 )
+from asbuilt.description.structure.free_base import count_base_joints
 from asbuilt.description.structure.locking import (
     assumed_carriers,
     held_followers,
@@ -31,6 +32,7 @@ from asbuilt.description.structure.parts import (
     PLAIN_TERMS,
     ROOT,
     USUAL_GRAVITY,
+    Contact,
     DriveValues,
     Frame,
     Geometry,
@@ -53,6 +55,7 @@ __all__ = [
     "PLAIN_TERMS",
     "ROOT",
     "USUAL_GRAVITY",
+    "Contact",
     "DriveValues",
     "Frame",
     "Geometry",
@@ -96,6 +99,7 @@ class RobotModel:
     `mass_ranges` are what is known of masses beside the description, as from a scale.
     `usual_drive` names the drive terms that this robot calls for, empty for those that the source
     of its torques calls for.
+    `contacts` are where forces that nobody measures may act on a robot with a free base.
     `source` says where the description came from, `citation` whose facts they are.
     """
 
@@ -116,6 +120,7 @@ class RobotModel:
     assumed_carriers: tuple[str, ...] = ()
     mass_ranges: tuple[MassRange, ...] = ()
     usual_drive: str = ""
+    contacts: tuple[Contact, ...] = ()
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
@@ -178,6 +183,8 @@ class RobotModel:
                     f"{self.name} has no moving link {name!r}, whose mass is given; its moving"
                     f" links are {', '.join(self.link_names)}"
                 )
+        for contact in self.contacts:
+            self.placed(contact.frame)
         if self.motor_coupling is not None:
             coupling = np.array(self.motor_coupling, dtype=np.float64)
             if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(
@@ -233,6 +240,34 @@ class RobotModel:
         return len(self.links)
 
     @property
+    def n_floating(self) -> int:
+        """Number of coordinates of the base, which come first: 6, 3 if planar, 0 if it is fixed."""
+        return count_base_joints(self.joints, self.links)
+
+    @cached_property
+    def standing(self) -> RobotModel:
+        """The robot with its base held still at zero; itself on a fixed root."""
+        held = dict.fromkeys(self.joint_names[: self.n_floating], 0.0)
+        return replace(self.locked(held), locked_joints=self.locked_joints) if held else self
+
+    def placed(self, name: str) -> tuple[int, Array]:
+        """Return link and placement (4, 4) of a frame or a link by its name.
+
+        Raises `DescriptionError` where there is none that moves.
+        """
+        if name in self.link_names:
+            return self.link_names.index(name), np.eye(4)
+        for frame in self.frames:
+            if frame.name == name and frame.link != ROOT:
+                return frame.link, frame.placement
+        names = [*self.link_names, *(frame.name for frame in self.frames if frame.link != ROOT)]
+        raise DescriptionError(
+            f"{self.name} has no moving link or frame {name!r}; it has {', '.join(names)}",
+            value=name,
+            available=names,
+        )
+
+    @property
     def link_joints(self) -> tuple[int, ...]:
         """Coordinate that moves the joint of each link, counted from 0; of several the foremost.
 
@@ -252,8 +287,8 @@ class RobotModel:
     def tool_link(self) -> int:
         """Link that carries a tool: that of the last drive; below fingers, the one that has them.
 
-        Where loops place joints, it is the link of the last frame, if a frame is on a link. Fingers
-        are links of different branches that one drive moves.
+        Where loops place joints, it is the link of the last frame, if a frame is on a link; on a
+        free base it is the base. Fingers are links of different branches that one drive moves.
 
         Examples
         --------
@@ -264,6 +299,8 @@ class RobotModel:
         carriers = [frame.link for frame in self.frames if frame.link != ROOT]
         if self.loops and carriers:
             return carriers[-1]
+        if self.n_floating:
+            return self.n_floating - 1
         parents, link = self.parents, self.n_joints - 1
         driven = [set(np.flatnonzero(row).tolist()) for row in self.link_shares]
         while (up := parents[link]) != ROOT and any(

@@ -63,9 +63,12 @@ def _checked_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | No
 def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> list[Indices]:
     """Return for each joint the positions in `columns` that can be non-zero in its row.
 
-    Links it carries, its own drive, motors it turns.
+    Links it carries, its own drive, motors it turns; all where contact forces are projected away,
+    which mixes the rows.
     """
     chosen, n = _checked_columns(model, drive, columns), model.n_joints
+    if model.contacts:
+        return [np.arange(chosen.size)] * n
     moved_by, carried = model.link_shares != 0.0, np.zeros((n, model.n_links), dtype=bool)
     for i in range(model.n_links):
         carried[:, i] = moved_by[list(model.ancestors(i))].any(axis=0)
@@ -273,6 +276,8 @@ class RegressorPlan:
                 f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples}"
                 f" columns, got {target.dtype} {target.shape}; use plan.buffer(n_samples)"
             )
+        if self.model.contacts:
+            target[...] = 0.0  # every joint has all rows, and kernels write those that can be other
         self._write(inputs, target, NO_COLUMNS, threads)
         for _, rows_of_drive, columns in self._drive_columns(*inputs):
             target[rows_of_drive, :n_samples] = columns

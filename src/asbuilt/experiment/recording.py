@@ -61,6 +61,11 @@ class Recording:
         The position servo that follows the command, as far as it is known.
     started
         Time from which `t` counts [s since 1970-01-01 UTC]; 0 if the log's clock has no date.
+    undriven
+        Joints without a drive, such as those of a free base: their torque is known to be zero.
+    contact
+        Contacts of a robot with a free base, (N, n_contacts), 1 where they are closed and 0 where
+        they are open; None: it touches nothing.
 
     Raises
     ------
@@ -91,6 +96,8 @@ class Recording:
     command: Array | None = None
     servo: PositionServo | None = None
     started: float = 0.0
+    undriven: tuple[str, ...] = ()
+    contact: Array | None = None
 
     def __post_init__(self) -> None:
         t = _read_only(self.t, "t", self.source)
@@ -219,7 +226,9 @@ class Recording:
         """
         if self.torque_source == "command":
             return np.ones(self.n_joints, dtype=np.bool_)
-        return np.array([_is_signal(*each) for each in zip(self.tau.T, self.q.T, strict=True)])
+        measured = [_is_signal(*each) for each in zip(self.tau.T, self.q.T, strict=True)]
+        undriven = [name in self.undriven for name in self.joint_names]
+        return np.logical_or(measured, undriven)
 
     def with_torque_of(self, has_torque: Mask) -> Recording:
         """Return the recording with torques of zero at joints that have none."""
@@ -329,7 +338,22 @@ class Recording:
             qdd=None if self.qdd is None else self.qdd[keep],
             extra={name: value[keep] for name, value in self.extra.items()},
             command=None if self.command is None else self.command[keep],
+            contact=None if self.contact is None else self.contact[keep],
         )
+
+    def closed_contacts(self, t: Array, margin: float) -> Array | None:
+        """Return which contacts (len(t), n_contacts) are closed at times t or `margin` [s] of them.
+
+        Filters spread what happens at a change of contact over its neighbours, where a contact that
+        is open counts as one that may be closed.
+        """
+        if self.contact is None:
+            return None
+        first = np.searchsorted(self.t, t - margin - 0.5 / self.rate)
+        last = np.searchsorted(self.t, t + margin + 0.5 / self.rate)
+        counts = np.cumsum(np.nan_to_num(self.contact, nan=1.0) > 0.5, axis=0, dtype=np.float64)
+        counts = np.vstack([np.zeros((1, counts.shape[1])), counts])
+        return np.asarray(counts[last] - counts[first] > 0.0, dtype=np.float64)
 
 
 def median_rate(t: Array) -> float:

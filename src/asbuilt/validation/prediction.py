@@ -138,9 +138,9 @@ def predict_both(
     `cad` is the description of the design, None: `model`.
     """
     rigid, torque = model_torque(model, base, estimates, samples)
-    as_built = beside_measured(samples, torque)
+    as_built = beside_measured(model, samples, torque)
     by_design = beside_measured(
-        samples, model_torque(model, base, np.nan_to_num(design, nan=0.0), samples)[1]
+        model, samples, model_torque(model, base, np.nan_to_num(design, nan=0.0), samples)[1]
     )
     described = model if cad is None else cad
     if not described.drives_by_design:
@@ -183,7 +183,7 @@ def _described(model: RobotModel, samples: Samples) -> Prediction:
     state = (samples.q, samples.qd, samples.qdd)
     load = inverse_dynamics(model, *state)
     torque = load + drive_torque(drive, values, *state, load=load, shares=model.motor_shares)
-    return beside_measured(samples, torque)
+    return beside_measured(model, samples, torque)
 
 
 def torque_units(model: RobotModel) -> tuple[str, ...]:

@@ -225,7 +225,12 @@ def identify(
     wanted, reading = replace(options or StudyOptions(), **of_study), ReadingOptions(**of_reading)
     report = progress or (lambda what, fraction: None)
     if not isinstance(robot, RobotModel):
-        robot = load_robot(robot, fixed_base=reading.fixed_base)
+        robot = load_robot(
+            robot,
+            fixed_base=reading.fixed_base,
+            base="free" if reading.free_base else "fixed",
+            contacts=reading.contacts or "",
+        )
     model, (trained, others) = fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_prior(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted

@@ -121,6 +121,18 @@ FixedBase = Annotated[
         "--fixed-base", help="hold a free joint of the robot at its pose (a robot hung in the air)"
     ),
 ]
+FreeBase = Annotated[
+    bool,
+    typer.Option("--free-base", help="the robot stands on no fixed root: legs, drones, satellites"),
+]
+Contacts = Annotated[
+    str | None,
+    typer.Option(
+        "--contacts",
+        metavar="FRAME,...",
+        help="links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
+    ),
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -266,11 +278,18 @@ def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
     return values[0] if len(values) == 1 else values
 
 
-def described_robot(robot: str, *, fixed_base: bool = False) -> RobotModel:
-    """Return the robot that a name or a path describes, its free joint held if `fixed_base`."""
+def described_robot(
+    robot: str, *, fixed_base: bool = False, free_base: bool = False, contacts: str | None = None
+) -> RobotModel:
+    """Return the robot that a name or a path describes, its base held or free if that is asked."""
     from asbuilt.description.load import load_robot
 
-    return load_robot(robot, fixed_base=fixed_base)
+    return load_robot(
+        robot,
+        fixed_base=fixed_base,
+        base="free" if free_base else "fixed",
+        contacts=contacts or "",
+    )
 
 
 def robot_as_built(robot: str, *, fixed_base: bool = False) -> RobotModel:
@@ -334,6 +353,8 @@ def recordings_of(
             "--lock": reading.lock is not None,
             "--gravity": reading.gravity is not None,
             "--fixed-base": reading.fixed_base,
+            "--free-base": reading.free_base,
+            "--contacts": reading.contacts is not None,
         },
     )
     from asbuilt.experiment.logs.recordings import as_recordings

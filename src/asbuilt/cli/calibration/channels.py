@@ -77,7 +77,7 @@ def channels(
     distinct_logs(motor)
     if motor_sheet is None and motor_gain is None:
         distinct_logs(log, motor)
-    model = described_robot(robot, fixed_base=reading.fixed_base)
+    model = described_robot(robot, **reading.of_base)
     on_links = replace(reading, torque_source=reading.torque_source or "sensor")
     on_motors = replace(
         reading,

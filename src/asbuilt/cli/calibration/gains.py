@@ -68,7 +68,7 @@ def gains(
         chain=filtering.chain(),
         checked=not unchecked,
     )
-    model = described_robot(robot, fixed_base=reading.fixed_base)
+    model = described_robot(robot, **reading.of_base)
     source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
     measured = replace(reading, torque_source=source or "current")
     model, (bare, under) = robot_and_recordings(model, measured, log, loaded)

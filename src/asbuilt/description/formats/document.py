@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import (
+    Contact,
     DriveValues,
     Frame,
     Joint,
@@ -50,6 +51,7 @@ def model_document(model: RobotModel) -> dict[str, Any]:
             for known in model.mass_ranges
         ],
         "usual_drive": model.usual_drive,
+        "contacts": [str(contact) for contact in model.contacts],
         "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
         "joints": [_joint_document(joint) for joint in model.joints],
         "followers": [_joint_document(joint) for joint in model.followers],
@@ -107,6 +109,11 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
                 for links, lower, upper in document.get("mass_ranges", ())
             ),
             usual_drive=str(document.get("usual_drive", "")),
+            contacts=tuple(
+                contact
+                for text in document.get("contacts", ())
+                for contact in Contact.parse(str(text))
+            ),
             source=str(document["source"]),
             citation=str(document["citation"]),
             notes=tuple(str(note) for note in document["notes"]),

@@ -44,6 +44,7 @@ from asbuilt.description.rotation import (
     rpy_from_rotation,
     straightened,
 )
+from asbuilt.description.structure.free_base import BaseKind, free_mjcf, links_on_base
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 
@@ -67,7 +68,9 @@ SHAPELESS = ("mesh", "hfield", "sdf")
 FREE, BALL, SLIDE, HINGE = range(4)
 
 
-def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotModel:
+def read_mjcf(
+    path_or_text: str | Path, *, fixed_base: bool = False, base: BaseKind = "fixed"
+) -> RobotModel:
     """Read a robot from an MJCF file or from the XML text itself; needs the extra `sim` (MuJoCo).
 
     MuJoCo compiles the file, so defaults, classes and orientations mean what they mean there;
@@ -78,7 +81,8 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
     sites become frames. A body whose inertia could only come from a mesh is marked as unknown, with
     a note.
 
-    `fixed_base` holds free joints at the pose of their body. Raises `DescriptionError` for other
+    `fixed_base` holds free joints at the pose of their body; a free or planar `base` makes joints
+    without a drive of the free joint. Raises `DescriptionError` for other
     free joints, for ball joints, included files and whatever MuJoCo refuses
     (format: MuJoCo XML reference).
     """
@@ -92,6 +96,8 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
         import mujoco  # noqa: PLC0415 - an extra
     except ImportError:
         raise MissingExtraError("mujoco", "sim", "reading MJCF") from None
+    if base != "fixed":
+        free_mjcf(root, base, source)
     unknown = _without_shapes(root, source)
     held = _without_free_joints(root) if fixed_base else []
     compiled, warnings = _compiled(mujoco, root, source)
@@ -130,7 +136,7 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
         joints=tuple(joints),
         loops=tuple(loops),
         posture={joint.name: float(q) for joint, q in zip(tree.joints, rest, strict=False)},
-        links=tuple(tree.link(i) for i in range(len(tree.joints))),
+        links=links_on_base(source, joints, [tree.link(i) for i in range(len(tree.joints))], base),
         gravity=np.array(compiled.opt.gravity),
         root_link="world",
         frames=tuple(tree.frames),
@@ -455,5 +461,6 @@ FORMATS.register(
         read_mjcf,
         lambda content: outermost_tag(content) == "mujoco",
         read_fixed=partial(read_mjcf, fixed_base=True),
+        read_on_base=lambda path, base: read_mjcf(path, base=base),
     ),
 )

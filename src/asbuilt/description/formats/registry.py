@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.free_base import BaseKind
 from asbuilt.registry import Registry
 
 
@@ -25,6 +26,9 @@ class DescriptionFormat:
     read_fixed
         Function that reads a file with its free joint held at its pose; None where the format has
         no free joints.
+    read_on_base
+        Function that reads a file with its first body on a free or planar base; None where the
+        format gives that body no mass.
     recognises
         Function that recognises the content of a file, for suffixes that several formats have;
         None where the suffix decides.
@@ -35,6 +39,7 @@ class DescriptionFormat:
     read: Callable[[Path], RobotModel]
     recognises: Callable[[bytes], bool] | None = None
     read_fixed: Callable[[Path], RobotModel] | None = None
+    read_on_base: Callable[[Path, BaseKind], RobotModel] | None = None
 
 
 FORMATS: Registry[DescriptionFormat] = Registry(

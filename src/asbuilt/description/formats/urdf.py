@@ -40,6 +40,7 @@ from asbuilt.description.rotation import (
     rotation_onto,
     straightened,
 )
+from asbuilt.description.structure.free_base import BaseKind, free_urdf, links_on_base
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
 
@@ -80,7 +81,11 @@ class _Tree:
 
 
 def read_urdf(
-    path_or_text: str | Path | bytes, *, straighten: bool = True, fixed_base: bool = False
+    path_or_text: str | Path | bytes,
+    *,
+    straighten: bool = True,
+    fixed_base: bool = False,
+    base: BaseKind = "fixed",
 ) -> RobotModel:
     """Read a robot from a URDF file or from the XML text itself.
 
@@ -90,7 +95,8 @@ def read_urdf(
     what is fixed to the root link does not move and its inertia is dropped. `<dynamics>` damping
     and friction become viscous and Coulomb values. Angles within 1e-5 rad of a right angle become
     exact, unless `straighten` is False, which reads them to the letter as other programs do. Meshes
-    are neither needed nor looked for. `fixed_base` holds floating joints at their origin.
+    are neither needed nor looked for. `fixed_base` holds floating joints at their origin; a free or
+    planar `base` puts the root link on joints that have no drive.
 
     Raises `DescriptionError` naming the element, what was given and what would do (format:
     http://wiki.ros.org/urdf/XML).
@@ -107,6 +113,8 @@ def read_urdf(
         raise DescriptionError(
             f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>"
         )
+    if base != "fixed":
+        free_urdf(root, base, source)
     notes = [f"the floating joint {name!r} is held at its origin" for name in held]
     bodies = _bodies(root, source, notes, straighten)
     connections = _connections(root, bodies, source, notes, straighten)
@@ -138,7 +146,7 @@ def read_urdf(
         drives_by_design=False,
         name=(root.get("name") or "robot").strip(),
         joints=tuple(tree.joints),
-        links=tuple(links),
+        links=links_on_base(source, tree.joints, links, base),
         root_link=top,
         frames=tuple(tree.frames),
         source="URDF text" if source == "the description" else source,
@@ -445,5 +453,6 @@ FORMATS.register(
         read_urdf,
         lambda content: outermost_tag(content) == "robot",
         read_fixed=partial(read_urdf, fixed_base=True),
+        read_on_base=lambda path, base: read_urdf(path, base=base),
     ),
 )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import checked_placement, placement, rotation_z
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, UsageError
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
 Symbols = tuple[tuple[tuple[float, str], ...], ...]
@@ -224,6 +224,50 @@ class Frame:
             "placement",
             checked_placement(self.placement, f"the placement of frame {self.name!r}"),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Name a frame at which the ground, or anything else, may push the robot.
+
+    A force acts `radius` [m] below its origin, as under a ball; of a `flat` one a moment too, as
+    under the sole of a foot.
+    """
+
+    frame: str
+    flat: bool = False
+    radius: float = 0.0
+
+    @classmethod
+    def parse(cls, text: str) -> tuple[Contact, ...]:
+        """Return the contacts of a list such as `left_foot:flat,right_foot:flat` or `toe:0.02`.
+
+        Raises `UsageError` for one that makes no sense or is given twice.
+        """
+        found = [cls._parsed(each) for each in text.split(",")]
+        names = [each.frame for each in found if each is not None]
+        if None in found or len({*names, ""}) <= len(names):
+            raise UsageError(
+                "contacts are names of links or frames, each once, as in FL_FOOT,FR_FOOT; :flat"
+                f" after a sole, or the radius [m] of a ball, as in toe:0.02; got {text!r}",
+                value=text,
+            )
+        return tuple(each for each in found if each is not None)
+
+    @classmethod
+    def _parsed(cls, text: str) -> Contact | None:
+        name, given, kind = (part.strip() for part in text.partition(":"))
+        if not given or kind == "flat":
+            return cls(name, flat=bool(given))
+        try:
+            radius = float(kind)
+        except ValueError:
+            return None
+        return cls(name, radius=radius) if 0.0 <= radius < np.inf else None
+
+    def __str__(self) -> str:
+        kind = "flat" if self.flat else f"{self.radius!r}" if self.radius else ""
+        return f"{self.frame}:{kind}" if kind else self.frame
 
 
 @dataclass(frozen=True, eq=False)

@@ -155,7 +155,7 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
 def _found(model: RobotModel, drive: DriveSet) -> BaseParameters:
     """Return the base parameters, remembered for the robots used last."""
     names = parameter_names(model, drive)
-    by_numbers = model.coupling is not None or any(link.negligible for link in model.links)
+    by_numbers = model.coupling is not None
     with one_blas_thread():
         if by_numbers:
             columns, matrix = numeric_regrouping(model, drive)

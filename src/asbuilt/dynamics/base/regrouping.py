@@ -12,8 +12,10 @@ from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import inverted, placement
 from asbuilt.dynamics.base.axis_frames import nearest_origins, same_build
+from asbuilt.dynamics.base.observation_rank import negligible_columns
 from asbuilt.dynamics.base.regrouping_relations import (
     LENGTH_EXPONENTS,
+    RANK_TOLERANCE,
     LinkMotion,
     RegroupingRelations,
     characteristic_length,
@@ -87,9 +89,8 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
         np.hstack([np.zeros((len(structure.redundant), 10 * model.n_links)), structure.redundant])
         / scales
     )
-    echelon, dependent = reversed_echelon(
-        np.vstack([*_realised(model, drive, directions, blocks, structure), redundant])
-    )
+    null = np.vstack([*_realised(model, drive, directions, blocks, structure), redundant])
+    echelon, dependent = reversed_echelon(_leaving_out(negligible_columns(model), null))
     columns = np.setdiff1d(np.arange(len(scales)), dependent)
     matrix = np.zeros((len(columns), len(scales)))
     matrix[np.arange(len(columns)), columns] = 1.0
@@ -121,7 +122,8 @@ def symbolic_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
         {int(j): Polynomial.number(float(row[j])) for j in np.flatnonzero(row)}
         for row in found.matrix
     ]
-    if not model.lengths or found.structure.motor_columns.any():
+    bare = any(link.negligible for link in model.links)
+    if bare or not model.lengths or found.structure.motor_columns.any():
         return numbers
     pivots = np.setdiff1d(np.arange(n_standard), found.columns)
     combined = dependent_columns(
@@ -278,6 +280,22 @@ def _realised(
         rows[:, own] += (of_joints[:, found.link] - sums @ taken)[:, None] * armature[found.link]
         rows[:, own] += of_motors[:, found.link, None] * structure.motor_columns[found.link]
     return [rows]
+
+
+def _leaving_out(columns: Sequence[int], null: Array) -> Array:
+    """Return the null vectors of a matrix of which some columns are zero.
+
+    They are those of the whole matrix without a part in these columns, and one for each of them.
+    """
+    if not columns:
+        return null
+    gone = np.zeros((len(columns), null.shape[1]))
+    gone[np.arange(len(columns)), columns] = 1.0
+    _, sizes, basis = np.linalg.svd(null[:, columns].T)
+    rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, float(np.max(sizes, initial=0.0)))))
+    kept = basis[rank:] @ null
+    kept[:, columns] = 0.0
+    return np.vstack([kept, gone])
 
 
 def _sized(transform: Array, size: float) -> Array:

@@ -8,6 +8,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import MOTOR_SOURCES
 from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.errors import UsageError
 
 
 def usual_drive(model: RobotModel, source: str) -> DriveSet:
@@ -17,12 +18,34 @@ def usual_drive(model: RobotModel, source: str) -> DriveSet:
     coupled motors if the source measures motors, and the springs and balancers described.
     """
     if model.usual_drive:
-        return DriveSet.parse(model.usual_drive)
+        return on_driven_joints(model, DriveSet.parse(model.usual_drive))
     drive = DriveSet.default(source)
     if source in MOTOR_SOURCES:
         drive = DriveSet((*drive.terms, *coupled_motor_terms(model).terms))
+    described = (term for term in described_drive(model)[0].terms if term.by_construction)
+    return on_driven_joints(model, DriveSet((*drive.terms, *described)))
+
+
+def on_driven_joints(model: RobotModel, drive: DriveSet) -> DriveSet:
+    """Return drive terms without those of a free base, whose joints have no drive.
+
+    Raises `UsageError` for terms that contact forces, which are unknown, would enter.
+    """
+    if not model.n_floating:
+        return drive
+    refused = [term.key for term in drive.terms if term.needs_load or term.free_nonlinear]
+    if refused and model.contacts:
+        raise UsageError(
+            f"drive term {refused[0]!r} is not identified where contact forces are projected away:"
+            " it depends on the load of its joint, or on a number that each joint fits alone; state"
+            " its nonlinear parameters, or take viscous, coulomb and offset"
+        )
+    driven = set(range(model.n_floating + 1, model.n_joints + 1))
     return DriveSet(
-        (*drive.terms, *(term for term in described_drive(model)[0].terms if term.by_construction))
+        tuple(
+            replace(term, joints=tuple(sorted(driven.intersection(term.joints or driven))))
+            for term in drive.terms
+        )
     )
 
 

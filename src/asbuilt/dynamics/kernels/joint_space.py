@@ -1,4 +1,4 @@
-"""Batched mass and Coriolis matrices.
+"""Batched mass and Coriolis matrices, and rows without what acts at contacts.
 
 The inertia of every link seen through the screws of the joints above it.
 
@@ -8,6 +8,8 @@ Sample-major arrays come in and go out flat; a call works on samples start ... s
 # mypy: allow-untyped-defs
 
 from __future__ import annotations
+
+import numpy as np
 
 from asbuilt.compilation import kernel, part
 from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
@@ -155,3 +157,54 @@ def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis
                 for j in range(n):
                     place = k * n + j if coriolis or k <= j else j * n + k
                     out[((block + sample) * n + k) * n + j] = rows[matrix + place * BLOCK + sample]
+
+
+@kernel("F3 f")
+def orthonormal_rows(J, tolerance):
+    """Make the rows of J (m, n, N) orthonormal, sample by sample, by Gram and Schmidt, twice.
+
+    Rows that depend on those before them, to `tolerance` of their length, become zero.
+    """
+    m, n, samples = J.shape
+    for s in range(samples):
+        for i in range(m):
+            before = 0.0
+            for j in range(n):
+                before += J[i, j, s] ** 2
+            for _ in range(2):
+                for k in range(i):
+                    along = 0.0
+                    for j in range(n):
+                        along += J[k, j, s] * J[i, j, s]
+                    for j in range(n):
+                        J[i, j, s] -= along * J[k, j, s]
+            left = 0.0
+            for j in range(n):
+                left += J[i, j, s] ** 2
+            scale = 0.0
+            if left > tolerance**2 * before:
+                scale = 1.0 / left**0.5
+            for j in range(n):
+                J[i, j, s] *= scale
+
+
+@kernel("f3 F2 i")
+def project(basis, rows, count):
+    """Take from `rows` (n per, N) their part along the basis (m, n, N): `x - Q^T Q x`.
+
+    Row `j per + c` is column c in the equation of joint j, over `count` samples.
+    """
+    m, n, _ = basis.shape
+    per = rows.shape[0] // n
+    along = np.zeros(BLOCK)
+    for start in range(0, count, BLOCK):
+        width = min(BLOCK, count - start)
+        for i in range(m):
+            for c in range(per):
+                along[:] = 0.0
+                for j in range(n):
+                    for s in range(width):
+                        along[s] += basis[i, j, start + s] * rows[j * per + c, start + s]
+                for j in range(n):
+                    for s in range(width):
+                        rows[j * per + c, start + s] -= along[s] * basis[i, j, start + s]

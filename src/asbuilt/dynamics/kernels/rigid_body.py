@@ -230,6 +230,7 @@ def regressor(
     rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
     angles = n_slots * (STATE + 6 * n) + TERMS
     tile = scratch(bounds[n - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
+    tile[:] = 0.0  # rows that the structure makes zero are not written
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
@@ -389,6 +390,7 @@ def coupled_rows(
     known = angles + 3 * n + 2
     rows = scratch(known + n * m)
     tile = scratch(bounds[m - 1, 1] if by_sample or (stop - start) % BLOCK else 0)
+    tile[:] = 0.0  # rows that the structure makes zero are not written
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)

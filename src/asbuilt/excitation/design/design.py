@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.collision.constraint import constraints_of
@@ -80,6 +81,12 @@ def design_motion(
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     refuse_open_postures(model)
+    refuse_free_base(
+        model.name,
+        model.n_floating,
+        "a motion on which it keeps its balance is not designed; squat, twist the trunk and lift"
+        " single legs",
+    )
     asked = options or DesignOptions()
     kept = constraints_of(
         model, collision=asked.collision, tool_box=asked.tool_box, tool_frame=asked.tool_frame

@@ -81,6 +81,9 @@ class ReadingOptions:
         acceleration is sought in the log, and none of the speed.
     fixed_base
         Whether a free joint of the robot is held at its pose. `load_robot` holds it.
+    free_base, contacts
+        Whether the base of the robot is free, and the links or frames at which it may touch the
+        ground. `load_robot` has them as `base` and `contacts`.
 
     Raises
     ------
@@ -224,6 +227,23 @@ class ReadingOptions:
         default=False,
         metadata={"help": "hold a free joint of the robot at its pose (a robot hung in the air)"},
     )
+    free_base: bool = field(
+        default=False,
+        metadata={"help": "the robot stands on no fixed root: legs, drones, satellites"},
+    )
+    contacts: str | None = field(
+        default=None,
+        metadata={
+            "help": "links or frames that touch the ground; NAME:flat a sole, NAME:METRES a ball",
+            "metavar": "FRAME,...",
+        },
+    )
+
+    @property
+    def of_base(self) -> dict[str, Any]:
+        """The options that concern the base of the robot, by name."""
+        names = ("fixed_base", "free_base", "contacts")
+        return {name: getattr(self, name) for name in names}
 
     def __post_init__(self) -> None:
         if self.torque_source not in (None, *TORQUE_SOURCES):

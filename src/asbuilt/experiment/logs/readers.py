@@ -9,6 +9,7 @@ from typing import Any
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.free_base.columns import base_columns, on_its_base
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
 from asbuilt.experiment.logs.columns.joint_units import with_joint_units
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
@@ -145,11 +146,14 @@ def _recording(
     model: RobotModel | None,
     options: ReadingOptions,
 ) -> Recording:
-    layout = layout_of(table, sheet, model, options)
+    layout = layout_of(table, sheet, None if model is None else model.standing, options)
     rate = options.rate if options.rate is not None else sheet.rate
     recording = build_recording(table, layout, rate=rate)
     recording = replace(recording, notes=(*notes, *table.notes, *recording.notes))
-    return apply_sheet(recording, sheet, options)
+    if model is None or not model.n_floating:
+        return apply_sheet(recording, sheet, options)
+    recording = replace(recording, extra=base_columns(table.columns))
+    return on_its_base(apply_sheet(recording, sheet, options), model)
 
 
 def layout_of(

@@ -156,7 +156,7 @@ def fitted_recordings(
     return model, [[_with_joints(item, model.joint_names) for item in items] for items in read]
 
 
-OF_THE_ROBOT = ("lock", "gravity", "fixed_base")
+OF_THE_ROBOT = ("lock", "gravity", "fixed_base", "free_base", "contacts")
 """Options of reading that concern recordings which are read already, too."""
 
 
@@ -234,6 +234,7 @@ def _of_files(
     options: ReadingOptions,
     streamed_from: float | None,
 ) -> Recording | RecordingStream:
-    if len(group) == 1 and is_long(group[0], streamed_from):
+    floats = model is not None and model.n_floating > 0
+    if len(group) == 1 and not floats and is_long(group[0], streamed_from):
         return RecordingStream(group[0], model, options)
     return read_recording(group, model=model, options=options)

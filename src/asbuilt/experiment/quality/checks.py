@@ -14,6 +14,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.free_base.base_checks import free_base_findings, of_joints_alone
 from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
@@ -60,6 +61,12 @@ FROM_COMMANDS = (
     *("torque_uncorrelated", "torque_unsigned"),
 )
 """Codes of findings that wrong commands explain."""
+OF_MODEL_TORQUES = (
+    *UNKNOWN_TORQUE,
+    *("gravity_direction", "joint_convention", "joint_torque_scale", "joints_swapped"),
+    *("torque_uncorrelated", "torque_unsigned"),
+)
+"""Codes of findings that torques of contacts, which no check knows, would explain."""
 _WIDTH = 80
 _HEADLINE = 160
 """Characters of the first finding in the headline."""
@@ -256,6 +263,8 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     >>> check_recording(model, recording.flipped()).errors[0].code
     'torque_flipped'
     """
+    if model.n_floating and not isinstance(recording, RecordingStream):
+        return _check_of_free_base(model, recording)
     chunks = recording if isinstance(recording, RecordingStream) else (recording,)
     known = first_pass(model, chunks)
     findings = list(clock_findings(known))
@@ -293,6 +302,24 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings=ranked(findings),
         position_step=() if noise is None else tuple(noise.step.tolist()),
         position_noise=() if noise is None else tuple(noise.density.tolist()),
+    )
+
+
+def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingCheck:
+    """Check the joints as those of a robot that is held, then base and contacts.
+
+    What compares torques with those of the model is left out, since contacts push it.
+    """
+    held = check_recording(model.standing, of_joints_alone(model, recording))
+    clock = any(f.severity == "error" and f.code.startswith("clock_") for f in held.findings)
+    kept = (f for f in held.findings if f.code not in OF_MODEL_TORQUES)
+    further = () if clock else free_base_findings(model, recording)
+    return replace(
+        held,
+        n_joints=model.n_joints,
+        findings=ranked([*kept, *further]),
+        position_step=(),
+        position_noise=(),
     )
 
 

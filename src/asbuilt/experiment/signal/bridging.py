@@ -36,7 +36,11 @@ def bridged(
     if not places.size:
         return recording, rows, ()
     period = float(np.median(steps))
-    names = [name for name in ("q", "tau", "qd", "command") if getattr(recording, name) is not None]
+    names = [
+        name
+        for name in ("q", "tau", "qd", "qdd", "command")
+        if getattr(recording, name) is not None
+    ]
     t = recording.t[rows]
     columns = {name: getattr(recording, name)[rows] for name in names}
     before = 0

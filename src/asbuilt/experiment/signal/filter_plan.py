@@ -176,7 +176,7 @@ class FilterPlan:
             qdd = central_differences(qd, rate)
         if chain.velocity == "measured" and segment.qd is not None:
             qd = smooth(segment.qd)
-            qdd = central_differences(qd, rate)
+            qdd = central_differences(qd, rate) if segment.qdd is None else smooth(segment.qdd)
         return q, qd, qdd
 
     def fits(self, segment: UniformSegment) -> bool:

@@ -28,6 +28,10 @@ UNRESOLVED = 0.25
 """Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
 quarter.
 """
+SPREAD = 0.5
+"""How far a low-pass spreads a step to either side, in periods of its cutoff: the half width of its
+impulse response. There a contact counts as closed.
+"""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
 
@@ -319,4 +323,5 @@ def assembled_samples(
         delay=plan.chain.delays,
         slowest=() if has_torque.all() else tuple(np.where(has_torque, 0.0, np.inf).tolist()),
         clock_bound=clock_bound,
+        contact=recording.closed_contacts(t, SPREAD / (plan.chain.cutoff or np.inf)),
     )

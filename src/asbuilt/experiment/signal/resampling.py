@@ -27,15 +27,16 @@ HALF_WIDTH = 16
 
 @dataclass(frozen=True, eq=False)
 class UniformSegment:
-    """Hold a segment on a uniform clock: t (L,), q, tau and, if logged, qd (L, n).
+    """Hold a segment on a uniform clock: t (L,), q, tau and, if logged, qd and qdd (L, n).
 
-    `tau` is the torque as recorded, at the times t.
+    `tau` is the torque as recorded, at the times t; `qdd` is kept of robots with a free base.
     """
 
     t: Array
     q: Array
     tau: Array
     qd: Array | None
+    qdd: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,21 +73,22 @@ class Grid:
     def uniform(self) -> list[UniformSegment]:
         """Return the segments."""
         recording = self._bridged(self.recording)
-        qd = [
-            self._on_clock(recording.qd, k)
-            if recording.qd is not None and np.all(np.isfinite(recording.qd[_slice_of(rows)]))
-            else None
-            for k, rows in enumerate(self.segments)
-        ]
         return [
             UniformSegment(
                 self._times(recording.t, k),
                 self._on_clock(recording.q, k),
                 self._on_clock(recording.tau, k),
-                qd[k],
+                self._if_logged(recording.qd, k),
+                self._if_logged(recording.qdd if recording.undriven else None, k),
             )
             for k in range(len(self.segments))
         ]
+
+    def _if_logged(self, x: Array | None, k: int) -> Array | None:
+        """Return a channel in a segment, None if it was not logged, or not for every sample."""
+        if x is None or not np.all(np.isfinite(x[_slice_of(self.segments[k])])):
+            return None
+        return self._on_clock(x, k)
 
     def channel(self, x: Array) -> list[Array]:
         """Return a channel of the recording (N, n) in each segment, (L, n)."""

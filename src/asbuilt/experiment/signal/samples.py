@@ -57,6 +57,9 @@ class Samples:
     slowest
         Speed of each joint below which its rows do not count, since the direction of dry friction
         is unknown; infinite for a joint without a torque channel; empty: all count.
+    contact
+        Contacts of a robot with a free base, (N, n_contacts), above 0 where they are closed or may
+        be, so that forces act there which nobody measured; None: it touches nothing.
 
     Raises
     ------
@@ -91,6 +94,7 @@ class Samples:
     delay_errors: tuple[float, ...] = ()
     slowest: tuple[float, ...] = ()
     clock_bound: float = np.inf
+    contact: Array | None = None
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)
@@ -112,6 +116,14 @@ class Samples:
                     f" {array.shape}"
                 )
             object.__setattr__(self, name, array)
+        if self.contact is not None:
+            contact = _read_only(self.contact)
+            if contact.ndim != 2 or len(contact) != t.size:
+                raise RecordingError(
+                    f"{self.source}: contact must have a row for each of {t.size} samples, got"
+                    f" {contact.shape}"
+                )
+            object.__setattr__(self, "contact", contact)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
         object.__setattr__(self, "segments", segments)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
@@ -214,6 +226,7 @@ class Samples:
             qdd=take(self.qdd),
             tau=take(self.tau),
             tau_raw=take(self.tau_raw),
+            contact=None if self.contact is None else take(self.contact),
             segments=segments,
         )
 

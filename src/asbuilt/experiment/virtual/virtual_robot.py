@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -129,6 +130,9 @@ class VirtualRobot:
     name: str = "custom"
 
     def __post_init__(self) -> None:
+        refuse_free_base(
+            self.model.name, self.model.n_floating, "no ground is simulated on which it could stand"
+        )
         if self.described is None:
             object.__setattr__(self, "described", self.model)
         elif self.model.joint_names != self.described.joint_names:

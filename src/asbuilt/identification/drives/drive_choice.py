@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.defaults import on_driven_joints, usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure, Finding
@@ -120,7 +120,7 @@ def stated_drive(
         If a text does not contain "auto".
     """
     if isinstance(drive, DriveSet):
-        return drive
+        return on_driven_joints(model, drive)
     usual = usual_drive(model, samples[0].torque_source)
     if drive is None:
         return usual
@@ -132,7 +132,7 @@ def stated_drive(
         )
     for term in DriveSet.parse(others).terms:
         usual = usual.with_term(term)
-    return usual
+    return on_driven_joints(model, usual)
 
 
 def drive_effects(*, by_construction: bool = False) -> tuple[str, ...]:

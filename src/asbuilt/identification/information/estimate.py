@@ -132,9 +132,14 @@ def noise_floor(information: SquareRootInformation) -> float:
 def residual_deviation(
     information: SquareRootInformation, beta: Array, inverse_root: Array, weights: Array
 ) -> Array:
-    """Return the standard deviation of each joint's residual (n,), infinite without torque."""
+    """Return the standard deviation of each joint's residual (n,), infinite without torque.
+
+    Joints whose rows were mixed, since contact forces were projected away, have one noise.
+    """
     spent = _spent(information, inverse_root, weights)
     energy = np.where(information.has_torque, information.residual_energy(beta), np.inf)
+    if information.mixed:
+        energy, spent = np.full_like(energy, energy.mean()), np.full_like(spent, spent.mean())
     return np.asarray(np.sqrt(energy / np.maximum(information.n_samples - spent, 1.0)))
 
 

@@ -12,6 +12,8 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.contact import contact_basis
+from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.information.triangular import ROWS_AT_ONCE, GrowingFactor
@@ -112,6 +114,9 @@ class SampleBlock:
             for k, columns in enumerate(rows):
                 for place, values in enumerate(further, start=-len(further)):
                     columns[place] = values[:, k]
+            if samples.contact is not None:
+                basis = contact_basis(plan.model, samples.q[span], samples.contact[span])
+                project(basis, buffer, span.stop - span.start)
             filtered = rows
             if parallel:
                 parallel.apply(buffer[:, : span.stop - span.start], out=output[:, : last - first])

@@ -115,6 +115,12 @@ class SquareRootInformation:
         return np.array([bool(np.any(factor)) for factor in self.joint_factors])
 
     @property
+    def mixed(self) -> bool:
+        """Whether every row has a part of every joint's equation, as without contact forces."""
+        whole = all(len(support) == self.base.n_base for support in self.support)
+        return whole and self.n_joints > 1 and self.base.n_base > 0
+
+    @property
     def n_rows(self) -> int:
         """Number of torques: samples times joints that have torques."""
         return self.n_samples * int(np.count_nonzero(self.has_torque))

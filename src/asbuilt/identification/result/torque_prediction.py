@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.contact import without_contact_forces
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -126,11 +127,18 @@ def parameter_torque(
     return rigid, rigid + drive_torque(drive, drives, q, qd, qdd, load=rigid, shares=shares)
 
 
-def beside_measured(samples: Samples, torque: Array) -> Prediction:
+def beside_measured(model: RobotModel, samples: Samples, torque: Array) -> Prediction:
     """Put a predicted torque (N, n), given at every sample, beside the one measured.
 
-    Both go through the filter of the samples. Torques of joints without a torque channel are NaN.
+    Both go through the filter of the samples, less what forces at contacts explain. Torques of
+    joints without a torque channel are NaN.
     """
+    if samples.contact is not None:
+        tau, raw, torque = (
+            without_contact_forces(model, samples.q, samples.contact, each)
+            for each in (samples.tau, samples.tau_raw, torque)
+        )
+        samples = replace(samples, tau=tau, tau_raw=raw)
     recorded = replace(samples, tau=samples.tau_raw, parallel=None)
     error = recorded.filtered_torque - recorded.filtered(torque)
     measured = np.where(samples.has_torque, 1.0, np.nan)
@@ -170,4 +178,6 @@ def predict_torque(
     ResultError
         If the samples belong to other joints or `values` is not of shape (p,).
     """
-    return beside_measured(samples, model_torque(model, base, values, samples, added=added)[1])
+    return beside_measured(
+        model, samples, model_torque(model, base, values, samples, added=added)[1]
+    )

@@ -104,7 +104,8 @@ def conclude_study(
     lacking = fits.effects.lacking
     omitted = None if lacking is None else lacking.bias(fits.final)
     result = conclude(replace(fits.final, omitted=omitted))
-    attribution = None if cause_data is None else attribute(result)
+    floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
+    attribution = None if cause_data is None or floats else attribute(result)
     validations = tuple(
         with_exported(result.of_training, each, samples)
         for each, samples in zip(validations, held, strict=True)

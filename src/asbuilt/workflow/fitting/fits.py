@@ -196,7 +196,8 @@ def _with_effects(
         model = mounting.model
     effects = Effects(model, drive)
     flat: tuple[Plateau, ...] = ()
-    if samples[0].torque_source != "command" or isinstance(options.drive, str):
+    fixed = model.n_floating == 0  # else a column of one joint is in the rows of all
+    if fixed and (samples[0].torque_source != "command" or isinstance(options.drive, str)):
         flat = plateaus(model, drive, samples, options.block_seconds)
         keys = set(EFFECTS) - ({Tilt.key} if mounting else set())
         applied = _open_effects(model, options)

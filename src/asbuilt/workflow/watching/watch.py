@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.errors import RecordingError, ResultError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
@@ -85,6 +86,11 @@ def watch(
     """
     options, report = options or WatchOptions(), progress or (lambda what, fraction: None)
     result = result.result if isinstance(result, Study) else result
+    refuse_free_base(
+        result.robot,
+        result.model.n_floating,
+        "forces that its feet exert count as external torque; watching one is not possible yet",
+    )
     payload_frame(result.model, options.frame)
     log = logged(_single(result, recording))
     quiet = [logged(each) for each in as_recordings(result.model, calibrate or [])]

@@ -55,10 +55,32 @@ def exported_mjcf(model: RobotModel) -> str:
     if any(joint.drive.kp is not None for joint in plain.joints):
         next(root.iter("option")).attrib["integrator"] = "implicitfast"
     _add_motors(root, model)
+    if model.n_floating:
+        _free(root, model)
     for place, note in enumerate((*model.notes, *mjcf_notes(model))):
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
+
+
+def _free(root: Element, model: RobotModel) -> None:
+    """Take the actuators of the base's joints out, and make one free joint of six of them."""
+    names = set(model.joint_names[: model.n_floating])
+    for actuators in root.iter("actuator"):
+        for each in [each for each in actuators if each.get("joint") in names]:
+            actuators.remove(each)
+    if model.n_floating != 6:
+        return
+    bodies = {body.get("name"): body for body in root.iter("body")}
+    first, base = (bodies[model.link_names[k]] for k in (0, model.n_floating - 1))
+    world = next(each for each in root.iter("worldbody"))
+    for joint in base.findall("joint"):
+        base.remove(joint)
+    for placed in ("pos", "quat"):
+        base.attrib.pop(placed, None)
+    base.insert(0, Element("freejoint", name="base"))
+    world.insert(list(world).index(first), base)
+    world.remove(first)
 
 
 def _as_servo(actuator: Element, element: Element, joint: Joint) -> None:

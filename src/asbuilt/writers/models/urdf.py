@@ -71,8 +71,23 @@ def urdf_text(model: RobotModel) -> str:
         carrier = np.eye(4) if frame.link == ROOT else moved[frame.link]
         name = model.root_link if frame.link == ROOT else model.links[frame.link].name
         _fixed(root, frame.name, name, composed(carrier, frame.placement))
+    if model.n_floating:
+        _without_base(root, model)
     indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def _without_base(root: Element, model: RobotModel) -> None:
+    """Take the joints of a free base out, with the links between, so that it is the root link."""
+    count = model.n_floating
+    links = {model.root_link, *model.link_names[: count - 1]}
+    gone = {f"{name}_frame" for name in links}
+    for each in [*root.findall("link"), *root.findall("joint")]:
+        child = each.find("child")
+        below = "" if child is None else child.get("link", "")
+        base_joint = each.tag == "joint" and each.get("name") in model.joint_names[:count]
+        if base_joint or below in gone or (each.tag == "link" and each.get("name") in links | gone):
+            root.remove(each)
 
 
 def _in_urdf_terms(model: RobotModel) -> RobotModel:

@@ -13,6 +13,7 @@ from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.formats.xml import described_text
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
+from asbuilt.description.structure.free_base import base_of
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
@@ -70,7 +71,8 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     refuse_inconsistent(model)
     plain = in_plain_friction(model)
     content, source = described_text(original)
-    described = _locked_alike(read_urdf(original), model)
+    kind = base_of(model.n_floating)
+    described = _locked_alike(read_urdf(original, base=kind), model)
     _check_same_robot(described, model, source)
     file = XmlFile.of(content, source)
     links = {span.attributes["name"].strip(): span for span in file.root.all("link")}
@@ -78,8 +80,10 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     edits: list[Edit] = []
     changed_links, changed_joints, emptied = [], [], []
     for was, link in zip(described.links, model.links, strict=True):
-        if not link.inertia_known or np.array_equal(
-            was.inertia.parameters, link.inertia.parameters
+        if (
+            link.negligible
+            or not link.inertia_known
+            or np.array_equal(was.inertia.parameters, link.inertia.parameters)
         ):
             continue
         fixed = [(name, inertia) for name, inertia in was.parts if name != link.name]
@@ -105,14 +109,14 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
             for name, (old, new) in given.items()
             if new is not None and new != (old or 0.0)
         }
-        if values:
+        if values and joint.name in joints:
             edits += _dynamics_edits(file, joints[joint.name], values)
             for follower in _followers_of(model, joint.name):
                 edits += _without_friction(joints[follower], values)
             changed_joints.append(joint.name)
     edited = file.edited(edits)
     reread, literal = (
-        _difference(model, _locked_alike(read_urdf(edited, straighten=exact), model))
+        _difference(model, _locked_alike(read_urdf(edited, straighten=exact, base=kind), model))
         for exact in (True, False)
     )
     notes = (
@@ -257,7 +261,10 @@ def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:
 
 def _difference(model: RobotModel, read: RobotModel) -> Array:
     q, qd, qdd = sample_states(model, 200)
-    expected = inverse_dynamics(model, q, qd, qdd)
+    chi = model.parameters
+    for k in (k for k, link in enumerate(model.links) if link.negligible):
+        chi[10 * k : 10 * k + 10] = read.links[k].inertia.parameters
+    expected = inverse_dynamics(model, q, qd, qdd, parameters=chi)
     return np.asarray(
         np.abs(inverse_dynamics(replace(read, gravity=model.gravity), q, qd, qdd) - expected).max(
             axis=0

@@ -55,12 +55,15 @@ def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
         model = as_built(result).model
     except (IdentifiabilityError, DescriptionError):
         return None
+    pairs = [
+        (link, built)
+        for link, built in zip(result.model.links, model.links, strict=True)
+        if not link.negligible
+    ]
     return ExportedMasses(
-        names=tuple(link.name for link in result.model.links),
-        cad=tuple(
-            float(link.inertia.mass) if link.inertia_known else None for link in result.model.links
-        ),
-        as_built=tuple(float(link.inertia.mass) for link in model.links),
+        names=tuple(link.name for link, _ in pairs),
+        cad=tuple(float(link.inertia.mass) if link.inertia_known else None for link, _ in pairs),
+        as_built=tuple(float(built.inertia.mass) for _, built in pairs),
     )
 
 

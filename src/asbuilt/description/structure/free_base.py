@@ -1,0 +1,182 @@
+"""Free base: six joints without a drive that carry the first link of a robot which stands on none.
+
+The pose of the base in the world is `(x, y, z)` and then turns about z, y and x: yaw, pitch and
+roll. Such joints are ordinary ones, so that a robot with a free base is a tree as any other. The
+links between them have no inertia. A planar base has x, y and yaw alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Literal
+from xml.etree.ElementTree import Element, SubElement
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.structure.parts import Joint, Link
+from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.findings import Cure
+
+BaseKind = Literal["fixed", "free", "planar"]
+
+AXES = {
+    "base_x": ("prismatic", "1 0 0"),
+    "base_y": ("prismatic", "0 1 0"),
+    "base_z": ("prismatic", "0 0 1"),
+    "base_yaw": ("continuous", "0 0 1"),
+    "base_pitch": ("continuous", "0 1 0"),
+    "base_roll": ("continuous", "1 0 0"),
+}
+"""Joints of a free base in their order, with kind and axis."""
+JOINTS_OF: dict[BaseKind, tuple[str, ...]] = {
+    "fixed": (),
+    "free": tuple(AXES),
+    "planar": ("base_x", "base_y", "base_yaw"),
+}
+WORLD = "world"
+
+
+def base_of(n_floating: int) -> BaseKind:
+    """Return the kind of a base with so many coordinates."""
+    return next(kind for kind, names in JOINTS_OF.items() if len(names) == n_floating)
+
+
+def count_base_joints(joints: Sequence[Joint], links: Sequence[Link]) -> int:
+    """Return how many of the first joints are those of a free base: 6, 3, or 0 on a fixed root."""
+    for names in (JOINTS_OF["free"], JOINTS_OF["planar"]):
+        between = links[: len(names) - 1]
+        if tuple(joint.name for joint in joints[: len(names)]) == names and all(
+            link.negligible for link in between
+        ):
+            return len(names)
+    return 0
+
+
+def links_on_base(
+    robot: str, joints: Sequence[Joint], links: Sequence[Link], kind: BaseKind
+) -> tuple[Link, ...]:
+    """Return the links of a robot, those between the joints of its base without inertia.
+
+    Raises `DescriptionError` where other joints come first.
+    """
+    names = JOINTS_OF[kind]
+    if tuple(joint.name for joint in joints[: len(names)]) != names:
+        raise DescriptionError(
+            f"{robot}: the joints of the free base must come first, but the first joint is"
+            f" {joints[0].name!r}; put the body that floats before all others"
+        )
+    return tuple(
+        replace(link, inertia=LinkInertia.zero(), inertia_known=True, negligible=True)
+        if k < len(names) - 1
+        else link
+        for k, link in enumerate(links)
+    )
+
+
+def free_urdf(root: Element, kind: BaseKind, source: str) -> None:
+    """Let the joints of a base carry the root link of a URDF, in place of a floating joint.
+
+    Raises `DescriptionError` where the root link has no mass, as one that stands still needs none.
+    """
+    links = {each.get("name", ""): each for each in root.findall("link")}
+    for joint in root.findall("joint[@type='floating']"):
+        root.remove(joint)
+        parent = joint.find("parent")
+        world = "" if parent is None else parent.get("link", "")
+        if world in links and links[world].find("inertial") is None:
+            root.remove(links.pop(world))
+    tops = links.keys() - {each.get("link", "") for each in root.findall("joint/child")}
+    if len(tops) != 1:
+        return  # the reader says what is wrong
+    (top,) = tops
+    if not _carries_mass(root, top):
+        raise DescriptionError(
+            f"{source}: the root link {top!r} has no <inertial>; a free base needs the mass of the"
+            " body that floats"
+        )
+    above = WORLD
+    while above in links:
+        above = f"{above}_"
+    SubElement(root, "link", name=above)
+    for name, below in _rungs(kind, top):
+        sort, axis = AXES[name]
+        if below != top:
+            SubElement(root, "link", name=below)
+        joint = SubElement(root, "joint", name=name, type=sort)
+        SubElement(joint, "parent", link=above)
+        SubElement(joint, "child", link=below)
+        SubElement(joint, "axis", xyz=axis)
+        if sort == "prismatic":
+            SubElement(joint, "limit", effort="0", velocity="0")
+        above = below
+
+
+def free_mjcf(root: Element, kind: BaseKind, source: str) -> None:
+    """Let the joints of a base take the place of the free joint of an MJCF model.
+
+    The pose of its body is then that of the joints alone, and shapes with a name, such as feet,
+    become sites. Raises `DescriptionError` unless one body has a free joint.
+    """
+    free = [
+        (body, joint)
+        for body in root.iter("body")
+        for joint in [*body.findall("freejoint"), *body.findall("joint[@type='free']")]
+    ]
+    if len(free) != 1:
+        raise DescriptionError(
+            f"{source}: {len(free)} bodies have a free joint; a robot with a free base has one"
+            " <freejoint/>, in its first body"
+        )
+    body, joint = free[0]
+    place = list(body).index(joint)
+    body.remove(joint)
+    for name in ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis"):
+        body.attrib.pop(name, None)
+    body.set("pos", "0 0 0")
+    plain = {
+        "stiffness": "0",
+        "damping": "0",
+        "armature": "0",
+        "frictionloss": "0",
+        "limited": "false",
+    }
+    for k, name in enumerate(JOINTS_OF[kind]):
+        sort, axis = AXES[name]
+        sort = "slide" if sort == "prismatic" else "hinge"
+        own = {"name": name, "type": sort, "axis": axis, "pos": "0 0 0", "ref": "0"}
+        body.insert(place + k, Element("joint", own | plain))
+    taken = {each.get("name") for each in root.iter("site")}
+    for holder in list(root.iter("body")):
+        for geom in holder.findall("geom[@name]"):
+            if geom.get("mesh") is None and geom.get("name") not in taken:
+                place_of = {"name": geom.get("name", ""), "pos": geom.get("pos", "0 0 0")}
+                SubElement(holder, "site", place_of)
+
+
+def _rungs(kind: BaseKind, top: str) -> Iterator[tuple[str, str]]:
+    """Yield the joints of a base with the link that each moves, the last of them `top`."""
+    names = JOINTS_OF[kind]
+    yield from zip(names, (*names[:-1], top), strict=True)
+
+
+def _carries_mass(root: Element, top: str) -> bool:
+    """Return whether a link, or one that is fixed to it, has an inertia."""
+    inertial = {each.get("name") for each in root.findall("link[inertial]")}
+    held, fixed = {top}, root.findall("joint[@type='fixed']")
+    for _ in fixed:
+        for each in fixed:
+            parent, child = each.find("parent"), each.find("child")
+            if parent is not None and child is not None and parent.get("link") in held:
+                held.add(child.get("link", ""))
+    return bool(held & inertial)
+
+
+def refuse_free_base(robot: str, n_floating: int, what: str) -> None:
+    """Raise `UsageError` where a robot with a free base is asked for what needs a fixed root."""
+    if n_floating:
+        raise UsageError(
+            f"{robot} has a free base, and {what}",
+            cure=Cure(
+                "hold its base, if it hangs or stands clamped", settings={"fixed_base": True}
+            ),
+        )

@@ -1,0 +1,65 @@
+"""Forces at contacts that nobody measured, and the equations of motion without them.
+
+With the Jacobian J of the points in contact, `tau = Y chi - J^T f`. The projection
+`P = 1 - J^+ J` has `P J^T = 0`, so that `P tau = P Y chi` whatever the forces are (Khorshidi et
+al., 2025; Mistry, Buchli and Schaal, 2010). P is symmetric and `P P = P`: it changes no noise that
+is the same in all equations but takes its part along the contacts, and every row stays that of its
+joint.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.kernels.joint_space import orthonormal_rows, project
+from asbuilt.dynamics.kinematics import link_jacobians, link_poses
+
+SAMPLES_AT_ONCE = 2048
+"""Samples whose Jacobians are held at once."""
+DEPENDENT = 1e-9
+"""Part of a contact's row outside all rows before it, below which it adds no direction."""
+
+
+def contact_jacobians(model: RobotModel, q: Array) -> tuple[Array, ...]:
+    """Return the Jacobian of each contact at positions q (N, n), in axes of the world.
+
+    Shape (N, 3, n), or (N, 6, n) with the angular velocity last if it is flat.
+    """
+    jacobians, poses = link_jacobians(model, q), link_poses(model, q)
+    found = []
+    for contact in model.contacts:
+        link, placement = model.placed(contact.frame)
+        turn, J = poses[:, link, :3, :3], jacobians[:, link]
+        swung = np.cross(np.swapaxes(J[:, :3], 1, 2), placement[:3, 3])
+        point = J[:, 3:] + np.swapaxes(swung, 1, 2)
+        linear, angular = turn @ point, turn @ J[:, :3]
+        below = np.cross(np.swapaxes(angular, 1, 2), [0.0, 0.0, -contact.radius])
+        linear = linear + np.swapaxes(below, 1, 2)
+        found.append(np.concatenate([linear, angular], axis=1) if contact.flat else linear)
+    return tuple(found)
+
+
+def contact_basis(model: RobotModel, q: Array, contact: Array) -> Array:
+    """Return orthonormal rows that span those of `J^T f`, shape (m, n, N).
+
+    `contact` (N, n_contacts) is above 0 where a contact is closed; rows of others are zero.
+    """
+    closed = [
+        J * (contact[:, k] > 0.0)[:, None, None] for k, J in enumerate(contact_jacobians(model, q))
+    ]
+    basis = np.ascontiguousarray(np.concatenate(closed, axis=1).transpose(1, 2, 0))
+    orthonormal_rows(basis, DEPENDENT)
+    return basis
+
+
+def without_contact_forces(model: RobotModel, q: Array, contact: Array, tau: Array) -> Array:
+    """Return torques (N, n) less the part that forces at the closed contacts explain: `P tau`."""
+    found = np.empty(tau.shape)
+    for start in range(0, len(q), SAMPLES_AT_ONCE):
+        span = slice(start, start + SAMPLES_AT_ONCE)
+        rows = np.ascontiguousarray(tau[span].T)
+        project(contact_basis(model, q[span], contact[span]), rows, rows.shape[1])
+        found[span] = rows.T
+    return found

@@ -1,0 +1,1 @@
+"""Free base: its columns in a log, and what is wrong with them."""

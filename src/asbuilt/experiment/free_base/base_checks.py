@@ -1,0 +1,240 @@
+"""Checks of a free base: its velocities, its orientation, and contacts that open and close.
+
+The pose of the base and the positions of the joints say how fast the feet move, and a foot that
+stands does not. So poses, velocities and contact flags have to agree, and the reading of a log
+under which they agree much better names what is wrong with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.contact import contact_jacobians
+from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure, Finding, joined
+
+
+@dataclass(frozen=True, slots=True)
+class FreeBaseLimits:
+    """Say from when a free base is read wrongly: own choices, tested on virtual and real robots.
+
+    Another reading must leave less than `share` of the squared disagreement. Contact flags are
+    shifted by up to `longest_shift` [s], and named from `shift` [s]. A contact that is closed
+    slips above `slip` [m/s]; one that is open touches where it stands within `height` [m] of where
+    it stands when closed. `gravity` [m/s^2] is the least mean by which accelerations that hold
+    gravity differ from those of the velocity. At most `samples` of a log are looked at.
+    """
+
+    share: float = 0.5
+    longest_shift: float = 0.1
+    shift: float = 0.02
+    slip: float = 0.3
+    often: float = 0.1
+    height: float = 0.01
+    gravity: float = 5.0
+    samples: int = 20_000
+
+
+LIMITS = FreeBaseLimits()
+
+
+def free_base_findings(model: RobotModel, recording: Recording) -> tuple[Finding, ...]:
+    """Return what is wrong with base and contacts of a recording."""
+    part = recording.taken(slice(0, LIMITS.samples))
+    if part.n_samples < 10 or not np.all(np.isfinite(part.q)):
+        return ()
+    rates = np.gradient(part.q, part.t, axis=0)
+    found = [*_velocity_findings(model, part, rates), *_acceleration_findings(model, part)]
+    if model.contacts and part.contact is not None:
+        found += _contact_findings(model, part, rates)
+    return tuple(found)
+
+
+def _velocity_findings(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
+    """Find velocities in other axes, and quaternions in another order."""
+    q, qd = recording.q, recording.qd
+    if qd is None or model.n_floating != 6:
+        return
+    R = base_rotations(q)
+    linear = np.einsum("sji,sj->si", R, qd[:, :3])  # as logged
+    if _size(linear - rates[:, :3]) < LIMITS.share * _size(qd[:, :3] - rates[:, :3]):
+        yield _wrong_axes("base_vx .. base_vz")
+    angular, derived = (_in_base_axes(q, each) for each in (qd, rates))
+    off = _size(angular - derived)
+    if _size(angular - np.einsum("sij,sj->si", R, derived)) < LIMITS.share * off:
+        yield _wrong_axes("base_wx .. base_wz")
+        return
+    for order, other in _other_readings(R):
+        turned = np.gradient(np.unwrap(other, axis=0), recording.t, axis=0)
+        again = np.hstack([q[:, :3], other]), np.hstack([rates[:, :3], turned])
+        if _size(angular - _in_base_axes(*again)) < LIMITS.share * off:
+            yield Finding(
+                "quaternion_order",
+                "error",
+                f"the quaternion of the base is {order}: so read, it turns as base_wx .. base_wz"
+                " say, and as x y z w it does not",
+                Cure("write it as base_qx base_qy base_qz base_qw, base axes to world axes"),
+            )
+            return
+
+
+def _wrong_axes(columns: str) -> Finding:
+    return Finding(
+        "base_velocity_axes",
+        "error",
+        f"{columns} are in world axes: so read, they agree with the pose, and in base axes, which"
+        " are expected, they do not",
+        Cure("turn them into base axes, or leave them out, and they are derived from the pose"),
+    )
+
+
+def _other_readings(R: Array) -> Iterator[tuple[str, Array]]:
+    """Yield other readings of quaternions that were read as x y z w, and their angles."""
+    x, y, z, w = _quaternions(R)
+    yield "w x y z", yaw_pitch_roll(np.stack([y, z, w, x], axis=1))
+    yield "the inverse (world axes to base axes)", yaw_pitch_roll(np.stack([-x, -y, -z, w], axis=1))
+
+
+def _quaternions(R: Array) -> tuple[Array, Array, Array, Array]:
+    """Return x, y, z, w of rotations (N, 3, 3), as eigenvectors, so that none is singular."""
+    (a, b, c), (d, e, f), (g, h, i) = R.transpose(1, 2, 0)
+    K = np.array(
+        [
+            [a - e - i, b + d, c + g, h - f],
+            [b + d, e - a - i, f + h, c - g],
+            [c + g, f + h, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
+    largest = np.linalg.eigh(np.moveaxis(K, 2, 0))[1][:, :, -1]
+    sign = np.cumprod(
+        np.concatenate([[1.0], np.where(np.sum(largest[1:] * largest[:-1], axis=1) < 0, -1, 1)])
+    )
+    x, y, z, w = (largest * sign[:, None]).T
+    return x, y, z, w
+
+
+def _in_base_axes(q: Array, rates: Array) -> Array:
+    """Return the angular velocity (N, 3) in base axes of the rates of yaw, pitch and roll."""
+    unit = [
+        coordinate_rates(q, np.zeros((len(q), 3)), np.tile(axis, (len(q), 1)))[:, 3:]
+        for axis in np.eye(3)
+    ]
+    return np.asarray(np.linalg.solve(np.stack(unit, axis=2), rates[:, 3:6, None])[:, :, 0])
+
+
+def _acceleration_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Find accelerations that hold gravity, as those of an inertial sensor do."""
+    if recording.qdd is None or recording.qd is None or model.n_floating != 6:
+        return
+    derived = np.gradient(recording.qd[:, :3], recording.t, axis=0)
+    off = np.mean(recording.qdd[:, :3] - derived, axis=0)
+    if np.linalg.norm(off) > LIMITS.gravity:
+        yield Finding(
+            "base_acceleration_gravity",
+            "error",
+            f"base_ax .. base_az are on average {np.linalg.norm(off):.2g} m/s^2 away from the"
+            " rates of base_vx .. base_vz; an inertial sensor measures gravity too",
+            Cure("take gravity out, or leave them out, and they are derived from the velocities"),
+        )
+
+
+def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
+    """Find contacts that never close, that slip, and flags that come early or late."""
+    assert recording.contact is not None
+    closed = recording.contact > 0.5
+    names = [contact.frame for contact in model.contacts]
+    never = [name for name, own in zip(names, closed.T, strict=True) if not own.any()]
+    if never and not _falls(model, recording):
+        all_open = len(never) == len(names)
+        yield Finding(
+            "contact_never_closes",
+            "error" if all_open else "warning",
+            f"{joined([f'contact_{name}' for name in never])} never close"
+            + (", and the base does not fall" if all_open else ""),
+            Cure("check the flags: 1 where the contact is closed"),
+        )
+    speed = np.stack(
+        [
+            np.linalg.norm(np.einsum("sij,sj->si", J[:, :3], rates), axis=1)
+            for J in contact_jacobians(model, recording.q)
+        ],
+        axis=1,
+    )
+    late = _late(speed, closed, recording.rate)
+    if late:
+        yield Finding(
+            "contact_timing",
+            "error",
+            f"contact flags come {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'}: feet"
+            " stand still while their contact is closed if they are shifted by that",
+            Cure("shift the columns contact_NAME, or the clock of what writes them"),
+        )
+        return
+    for k, name in enumerate(names):
+        inner = _inside(closed[:, k], round(0.03 * recording.rate))
+        slips = float(np.mean(speed[inner, k] > LIMITS.slip)) if inner.any() else 0.0
+        if slips > LIMITS.often:
+            yield Finding(
+                "contact_slips",
+                "warning",
+                f"{name} moves faster than {LIMITS.slip:g} m/s in {100 * slips:.0f} % of the time"
+                " in which its contact is closed; forces there are projected away all the same, and"
+                " what an open contact would say is lost",
+                Cure("check its flags"),
+            )
+
+
+def _falls(model: RobotModel, recording: Recording) -> bool:
+    """Return whether the base falls freely on average, as it does where nothing touches it."""
+    t = recording.t - recording.t[0]
+    up = -model.gravity / max(float(np.linalg.norm(model.gravity)), 1e-9)
+    height = recording.q[:, : len(up)][:, :3] @ up[: min(3, model.n_floating)]
+    fall = -2.0 * np.polyfit(t, height, 2)[0]
+    return bool(fall > 0.5 * np.linalg.norm(model.gravity))
+
+
+def _late(speed: Array, closed: Mask, rate: float) -> float:
+    """Return by how long [s] flags come late (early if negative), 0 if they are right.
+
+    Speeds beyond nine tenths of them count as that, since feet in the air have any.
+    """
+    capped = np.minimum(speed, np.quantile(speed, 0.9, axis=0)) ** 2
+    changing = [k for k in range(closed.shape[1]) if closed[:, k].any() and not closed[:, k].all()]
+    most = round(LIMITS.longest_shift * rate)
+    if not changing or len(closed) < 4 * most:
+        return 0.0
+    inner = slice(most, len(closed) - most)
+
+    def disagreement(shift: int) -> float:
+        moved = np.roll(closed, -shift, axis=0)[inner]
+        return float(sum(capped[inner, k][moved[:, k]].mean() for k in changing))
+
+    shifts = range(-most, most + 1)
+    found = {shift: disagreement(shift) for shift in shifts}
+    best = min(shifts, key=lambda shift: found[shift])
+    named = abs(best) / rate >= LIMITS.shift and found[best] < LIMITS.share * found[0]
+    return best / rate if named else 0.0
+
+
+def _inside(closed: Mask, margin: int) -> Mask:
+    """Return which samples are closed and `margin` away from any that is open."""
+    reach = np.convolve((~closed).astype(np.float64), np.ones(2 * margin + 1), mode="same")
+    return np.asarray(reach == 0.0, dtype=np.bool_)
+
+
+def _size(x: Array) -> float:
+    """Return the mean square, single outliers cut off."""
+    squares = np.sum(x * x, axis=1)
+    return float(np.minimum(squares, np.percentile(squares, 99.0)).mean())
+
+
+def of_joints_alone(model: RobotModel, recording: Recording) -> Recording:
+    """Return a recording of the joints that have a drive, as of a robot that is held."""
+    return replace(recording.reordered(model.standing.joint_names), undriven=(), contact=None)

@@ -1,0 +1,217 @@
+"""Columns of a free base: pose, velocity and contacts beside the joints of a log.
+
+The pose is `base_x base_y base_z` [m] and the quaternion `base_qx base_qy base_qz base_qw` that
+turns base axes into those of the world. Velocities `base_vx .. base_wz`, if there are any, are in
+base axes, as are those of Pinocchio's free flyer. `contact_NAME` is 1 where the contact is closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure
+
+POSITION = ("base_x", "base_y", "base_z")
+QUATERNION = ("base_qx", "base_qy", "base_qz", "base_qw")
+ACCELERATION = ("base_ax", "base_ay", "base_az")
+ANGULAR_ACCELERATION = ("base_alphax", "base_alphay", "base_alphaz")
+LINEAR, ANGULAR = ("base_vx", "base_vy", "base_vz"), ("base_wx", "base_wy", "base_wz")
+YAW_OF_PLANAR = "base_yaw"
+UNIT_LENGTH = 0.02
+"""Largest deviation of a quaternion's length from 1 that is rounding or drift of an estimator."""
+STEEPEST = np.deg2rad(80.0)
+"""Pitch beyond which yaw and roll are one turn, so that their rates say nothing."""
+
+
+def base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the columns of a log that belong to a free base and its contacts."""
+    return {
+        name: values for name, values in columns.items() if name.startswith(("base_", "contact_"))
+    }
+
+
+def on_its_base(recording: Recording, model: RobotModel) -> Recording:
+    """Return a recording of the joints with the coordinates of the base before them.
+
+    The columns of the base are among its `extra`.
+
+    Raises
+    ------
+    RecordingError
+        If a column is missing, a quaternion has not the length 1, the base pitches to 90 degrees,
+        or the log holds commands in place of torques.
+    """
+    if recording.torque_source == "command":
+        raise RecordingError(
+            f"{recording.source} has commands in place of torques, which a robot with a free base"
+            " is not yet identified from",
+            cure=Cure("log torques or motor currents too"),
+            file=recording.source,
+        )
+    contact = None
+    if model.contacts:
+        names = [f"contact_{each.frame}" for each in model.contacts]
+        contact = _columns(recording, names, "which says when the contact is closed")
+    q, notes = _pose(recording, model)
+    qd, qdd = _rates(recording, model, q)
+    still = np.zeros_like(q)
+    base = model.joint_names[: model.n_floating]
+    return replace(
+        recording,
+        q=np.hstack([q, recording.q]),
+        tau=np.hstack([still, recording.tau]),
+        qd=None if qd is None or recording.qd is None else np.hstack([qd, recording.qd]),
+        qdd=None if qdd is None or recording.qdd is None else np.hstack([qdd, recording.qdd]),
+        joint_names=(*base, *recording.joint_names),
+        notes=(*recording.notes, *notes),
+        gains=None if recording.gains is None else (*[1.0] * len(base), *recording.gains),
+        extra={},
+        undriven=base,
+        contact=contact,
+    )
+
+
+def _columns(recording: Recording, names: list[str] | tuple[str, ...], what: str) -> Array:
+    """Return columns (N, len(names)); raises `RecordingError` where one is missing."""
+    missing = [name for name in names if name not in recording.extra]
+    if missing:
+        raise RecordingError(
+            f"{recording.source} has no column {missing[0]!r}, {what}; a free base needs"
+            f" {' '.join((*POSITION, *QUATERNION))} and contact_NAME of every contact",
+            cure=Cure("add it to the log, or rename the column"),
+            file=recording.source,
+            value=missing,
+            available=list(recording.extra),
+        )
+    return np.stack([recording.extra[name] for name in names], axis=1)
+
+
+def _pose(recording: Recording, model: RobotModel) -> tuple[Array, list[str]]:
+    """Return the coordinates of the base (N, n_floating), and notes."""
+    if model.n_floating == 3 and YAW_OF_PLANAR in recording.extra:
+        pose = _columns(recording, (*POSITION[:2], YAW_OF_PLANAR), "a coordinate of the base")
+        return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])]), []
+    position = _columns(
+        recording, POSITION[: 2 if model.n_floating == 3 else 3], "where the base is"
+    )
+    quaternion, notes = _unit_quaternions(recording)
+    angles = yaw_pitch_roll(quaternion)
+    if model.n_floating == 3:
+        return np.column_stack([position, np.unwrap(angles[:, 0])]), notes
+    steep = np.abs(angles[:, 1]) > STEEPEST
+    if steep.any():
+        first = int(np.flatnonzero(steep)[0])
+        pitch, most = np.rad2deg([angles[first, 1], STEEPEST])
+        raise RecordingError(
+            f"{recording.source}: the base pitches to {pitch:.0f} deg at sample {first}, where yaw"
+            f" and roll are one turn; at most {most:.0f} deg are read",
+            cure=Cure(
+                "leave those samples out, or check that the columns are base_qx, qy, qz and qw"
+            ),
+            file=recording.source,
+            value=float(angles[first, 1]),
+        )
+    return np.column_stack([position, np.unwrap(angles, axis=0)]), notes
+
+
+def _unit_quaternions(recording: Recording) -> tuple[Array, list[str]]:
+    """Return quaternions (N, 4), x y z w, of length 1."""
+    quaternion = _columns(recording, QUATERNION, "how the base is turned")
+    length = np.linalg.norm(quaternion, axis=1)
+    off = np.abs(length - 1.0)
+    worst = int(np.nanargmax(off)) if np.isfinite(off).any() else 0
+    if not off[worst] <= UNIT_LENGTH:
+        raise RecordingError(
+            f"{recording.source}: the quaternion {' '.join(QUATERNION)} has length"
+            f" {length[worst]:.4g} at sample {worst}; a rotation has length 1",
+            cure=Cure("normalise it where it is logged, or check that the columns are quaternions"),
+            file=recording.source,
+            value=float(length[worst]),
+            expected=1.0,
+        )
+    notes = []
+    if off[worst] > 1e-4:
+        notes.append(f"quaternions were normalised (length off by up to {off[worst]:.2g})")
+    return quaternion / length[:, None], notes
+
+
+def yaw_pitch_roll(quaternion: Array) -> Array:
+    """Return the angles (N, 3) of quaternions x y z w: turns about z, then y, then x.
+
+    >>> yaw_pitch_roll(np.array([[0.0, 0.0, 0.6, 0.8]])).round(4).tolist()
+    [[1.287, 0.0, 0.0]]
+    """
+    x, y, z, w = quaternion.T
+    return np.stack(
+        [
+            np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+            np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        ],
+        axis=1,
+    )
+
+
+def _rates(recording: Recording, model: RobotModel, q: Array) -> tuple[Array | None, Array | None]:
+    """Return the first and second rates of the base's coordinates; None if they are not logged."""
+    known = recording.extra
+
+    def logged(*groups: tuple[str, ...]) -> list[Array]:
+        if model.n_floating != 6 or not set(sum(groups, ())) <= known.keys():
+            return []
+        return [np.stack([known[name] for name in names], axis=1) for names in groups]
+
+    twist = logged(LINEAR, ANGULAR)
+    if not twist:
+        return None, None
+    change = logged(ACCELERATION, ANGULAR_ACCELERATION)
+    first = coordinate_rates(q, *twist)
+    return first, coordinate_accelerations(q, first, *twist, *change) if change else None
+
+
+def coordinate_rates(q: Array, v: Array, w: Array) -> Array:
+    """Return the rates (N, 6) of the base's coordinates of velocities (N, 3) in base axes.
+
+    With R of yaw, pitch and roll: `d(x, y, z)/dt = R v`, and the rates of the angles follow from
+    `w = roll' x + pitch' Rx^T y + yaw' (Ry Rx)^T z`.
+    """
+    (sp, sr), (cp, cr) = np.sin(q[:, 4:6]).T, np.cos(q[:, 4:6]).T
+    yaw = (sr * w[:, 1] + cr * w[:, 2]) / cp
+    pitch, roll = cr * w[:, 1] - sr * w[:, 2], w[:, 0] + sp * yaw
+    return np.column_stack([np.einsum("sij,sj->si", base_rotations(q), v), yaw, pitch, roll])
+
+
+def coordinate_accelerations(
+    q: Array, rates: Array, v: Array, w: Array, a: Array, alpha: Array
+) -> Array:
+    """Return the second rates (N, 6) of the base's coordinates.
+
+    `a` and `alpha` are the rates of change of v and w in base axes, so that the base accelerates by
+    `R (a + w x v)`; those of the angles are the derivatives of the sums in `coordinate_rates`.
+    """
+    (sp, sr), (cp, cr) = np.sin(q[:, 4:6]).T, np.cos(q[:, 4:6]).T
+    yaw, pitch, roll = rates[:, 3:].T
+    across = sr * alpha[:, 1] + cr * alpha[:, 2] + roll * pitch
+    yaws = (across + yaw * sp * pitch) / cp
+    pitches = cr * alpha[:, 1] - sr * alpha[:, 2] - roll * yaw * cp
+    rolls = alpha[:, 0] + cp * pitch * yaw + sp * yaws
+    linear = np.einsum("sij,sj->si", base_rotations(q), a + np.cross(w, v))
+    return np.column_stack([linear, yaws, pitches, rolls])
+
+
+def base_rotations(q: Array) -> Array:
+    """Return what turns base axes into those of the world, (N, 3, 3)."""
+    (cy, cp, cr), (sy, sp, sr) = np.cos(q[:, 3:6]).T, np.sin(q[:, 3:6]).T
+    R = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.moveaxis(np.array(R), 2, 0)
