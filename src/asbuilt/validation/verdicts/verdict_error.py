@@ -52,7 +52,9 @@ def with_exported(
         return validation
     state = (samples.q, samples.qd, samples.qdd)
     _, torque = parameter_torque(result.model, result.base.drive, exported, *state)
-    return replace(validation, metrics_exported=beside_measured(result.model, samples, torque).metrics())
+    return replace(
+        validation, metrics_exported=beside_measured(result.model, samples, torque).metrics()
+    )
 
 
 def exported_parameters(result: IdentificationResult) -> Array | None:
