@@ -110,12 +110,16 @@ class Finding:
 
 
 def _clauses(text: str, room: int) -> str:
-    """Return a text up to the last end of a clause outside brackets within the room."""
+    """Return a text up to the last end of a clause outside brackets within the room.
+
+    The name of a recording, with which a text may begin, is no clause.
+    """
     ends = [
         at
         for mark in ("; ", ". ", ": ", ", ", " (")
         for at in range(len(text))
         if text.startswith(mark, at) and text[:at].count("(") == text[:at].count(")")
+        if " " in text[:at]
     ]
     strong = [at for at in ends if not text.startswith((", ", " ("), at)]
     for kind in (strong, ends):
