@@ -73,6 +73,8 @@ class Finding:
 
         Nothing is cut inside a clause: a first clause that is longer is whole.
 
+        Examples
+        --------
         >>> finding = Finding("gap", "info", "a gap of 2 s at 4 s (row 9); others follow")
         >>> finding.brief(30)
         'a gap of 2 s at 4 s (row 9).'

@@ -79,7 +79,6 @@ def test_terms_are_chosen_or_given_for_any_robot(capsys, tmp_path, robot):
     assert "load_friction" in chosen["drive"]
     named = {(each["effect"], each["in_model"]) for each in chosen["effects"]}
     assert ("load_friction", True) in named
-    assert "effect_in_model" in [warning["code"] for warning in chosen["warnings"]]
     given = document(
         capsys,
         "identify",

@@ -102,7 +102,7 @@ class Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command; raises `UsageError` if there is none of this name."""
         entries = {name: each for group in self._sections.values() for name, each in group.items()}
-        entry = _entry(entries, cmd_name, ctx.command_path)
+        entry = _entry(entries, cmd_name, "" if ctx is None else ctx.command_path)
         if cmd_name in SUBCOMMANDS and self.name not in SUBCOMMANDS:
             return typer.main.get_command(
                 _group(cmd_name, help=entry.summary, add_completion=False)

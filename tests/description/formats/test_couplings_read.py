@@ -40,13 +40,24 @@ def test_a_joint_with_an_actuator_does_not_follow() -> None:
     [
         '<tendon tendon1="t" polycoef="0 0 1 0 0"/>',
         '<tendon tendon1="t" active="false"/>',
-        '<joint joint1="a" joint2="b" polycoef="0 1 0.5 0 0"/>',
     ],
 )
 def test_what_is_not_linear_is_left_out_with_a_note(equality: str) -> None:
     robot = read_mjcf(MJCF.format(CHAIN, equality, ""))
     assert robot.joint_names == ("a", "b", "c")
     assert any("1 equality constraints are left out" in note for note in robot.notes)
+
+
+def test_a_joint_that_follows_by_a_curve_closes_a_loop() -> None:
+    equality = '<joint joint1="a" joint2="b" polycoef="0 1 0.5 0 0"/>'
+    robot = read_mjcf(MJCF.format(CHAIN, equality, ""))
+    (loop,) = robot.loops
+    assert loop.kind == "joint"
+    assert robot.joint_names == ("a", "c")
+    q = np.array([[0.2, 0.1]])
+    assert robot.coupling is not None
+    b = robot.coupling.motion(q, 0 * q, 0 * q).q[0, 1]
+    np.testing.assert_allclose(b + 0.5 * b**2, 0.2, atol=1e-9)
 
 
 def test_one_tendon_follows_another() -> None:

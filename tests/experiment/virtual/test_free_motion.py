@@ -28,11 +28,14 @@ def with_drives(model: RobotModel, **values: float) -> RobotModel:
 
 @pytest.mark.parametrize("name", robot_names())
 def test_energy_stays_in_free_motion(name: str) -> None:
-    motion = run_free(bundled_robot(name), "free", duration=2.0)
+    model = bundled_robot(name)
+    motion = run_free(model, "free", duration=2.0)
+    # What closes a loop in MuJoCo is soft, and holds some energy.
+    exact = 1e-4 if model.loops else 1e-6
     np.testing.assert_allclose(
-        motion.total, motion.total[0], rtol=1e-6, atol=1e-6 * np.ptp(motion.kinetic)
+        motion.total, motion.total[0], rtol=exact, atol=exact * np.ptp(motion.kinetic)
     )
-    assert motion.imbalance < 1e-6
+    assert motion.imbalance < exact
     assert np.ptp(motion.kinetic) > 0.1
     assert not motion.work.any()
 

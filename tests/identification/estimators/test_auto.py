@@ -51,8 +51,8 @@ def test_impossible_bodies_give_way_to_real_ones_that_predict_as_well(robot):
     result = chosen(robot, recording(*robot, noise=4.0, seconds=30.0, seed=6))
     assert result.method in ("consistent", "entropic")
     assert result.physically_consistent
-    assert "groups of held-out time blocks" in result.notes[0]
-    assert "Held-out motions: " in result.notes[1]
+    assert "groups of time blocks" in result.notes[0]
+    assert "groups of motion held out" in result.notes[1]
     assert "consistent_fit_costly" not in codes(result)
 
 

@@ -69,20 +69,22 @@ def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
     nearest = int(np.argmin(np.where(at.closed, at.distance, np.inf)))
     near = at.distance[nearest] < THRESHOLDS.singular
     where = [f"{model.joint_names[j]} at {recording.q[rows[nearest], j]:.4g}" for j in moving]
-    yield Finding(
-        "near_singular_posture" if near else "distance_to_singularity",
-        "warning" if near else "info",
+    said = (
         f"the loops are nearest to a singular posture at {recording.t[rows[nearest]]:.3f} s, with"
         f" {joined(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of the"
         " largest"
-        + (
-            "; there small errors of positions make large ones of passive joints and torques"
-            if near
-            else ""
-        ),
-        Cure("keep away from it, or cut these samples out") if near else None,
-        joint=model.joint_names[moving[0]],
-        time=float(recording.t[rows[nearest]]),
+    )
+    joint, time = model.joint_names[moving[0]], float(recording.t[rows[nearest]])
+    if not near:
+        yield Finding("distance_to_singularity", "info", said, joint=joint, time=time)
+        return
+    yield Finding(
+        "near_singular_posture",
+        "warning",
+        f"{said}; there small errors of positions make large ones of passive joints and torques",
+        Cure("keep away from it, or cut these samples out"),
+        joint=joint,
+        time=time,
     )
 
 

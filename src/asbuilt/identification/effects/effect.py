@@ -119,8 +119,6 @@ class Effect(ABC):
     """Largest size that a robot in use can have."""
     shown: ClassVar[float] = 0.0
     """Size that every log should show; 0: none need be said to be unseen."""
-    cure_of_unseen: ClassVar[Cure | None] = None
-    """What to do where a log does not show it."""
     starts: ClassVar[tuple[float, ...]] = ()
     """Values from which on it may be sought, too, where it can be off by factors."""
 
@@ -168,6 +166,10 @@ class Effect(ABC):
         message = f"Not in the model: {found.text}"
         cure = CORRECT if self.of_log else None
         return Finding("effect_found", severity, message, cure, joint=found.joint)
+
+    def unseen(self, sizes: str) -> Finding:
+        """Return what is said where a log does not show it below some sizes."""
+        raise NotImplementedError
 
     @abstractmethod
     def variants(self, robot: Described) -> Iterator[Variant]:

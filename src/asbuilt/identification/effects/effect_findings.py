@@ -64,13 +64,7 @@ def _unseen(effects: Effects) -> Iterator[Finding]:
             if own == key and size > each.shown and (key, _name(effects, joint)) not in named
         ]
         if rows:
-            yield Finding(
-                f"{key}_unseen",
-                "info",
-                f"A {each.title} would not show in this log {_sizes(effects, key, rows)}: other"
-                " parameters take its place",
-                each.cure_of_unseen,
-            )
+            yield each.unseen(_sizes(effects, key, rows))
 
 
 def _sizes(effects: Effects, key: str, rows: list[tuple[float, int | None]]) -> str:

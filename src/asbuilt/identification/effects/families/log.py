@@ -52,7 +52,6 @@ class Clock(_OfLog):
     key, title = "clock", "wrong clock"
     least = 0.01
     removable, of_shares, shown = True, True, 0.05
-    cure_of_unseen = Cure("compare the rate with another clock, or record faster motions as well")
     starts = tuple(factor - 1.0 for factor in RATES)
     near, about = 0.3, 0.06
     """Largest share by which a clock drifts or is set wrong; distance from a ratio of rates."""
@@ -89,6 +88,15 @@ class Clock(_OfLog):
         f = 1.0 + float(values[0])
         return model, [replace(each, qd=f * each.qd, qdd=f**2 * each.qdd) for each in samples]
 
+    def unseen(self, sizes: str) -> Finding:
+        """Return below which sizes the log does not show it."""
+        return Finding(
+            "clock_unseen",
+            "info",
+            f"A wrong clock would not show in this log {sizes}: other parameters take its place",
+            Cure("compare the rate with another clock, or record faster motions as well"),
+        )
+
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return what a wrong clock does, and by which factor it is corrected."""
         pace, rate = "faster" if found.estimate > 0.0 else "slower", 1.0 + found.estimate
@@ -116,7 +124,6 @@ class Zero(_OfLog):
     """20 degrees: a joint that is off by more is another one, or has another sign."""
     shown = 0.035
     """Two degrees, or 35 mm."""
-    cure_of_unseen = Cure("calibrate these joints, or record more poses")
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of positions."""
@@ -150,6 +157,16 @@ class Zero(_OfLog):
         off[joint or 0] = values[0]
         return model, [replace(each, q=each.q - off) for each in samples]
 
+    def unseen(self, sizes: str) -> Finding:
+        """Return below which sizes the log does not show it."""
+        return Finding(
+            "zero_unseen",
+            "info",
+            f"A wrong zero position would not show in this log {sizes}: other parameters take its"
+            " place",
+            Cure("calibrate these joints, or record more poses"),
+        )
+
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return by how much a zero position is off."""
         k = model.joint_names.index(str(found.joint))
@@ -179,7 +196,6 @@ class Gain(_OfTorque):
     farthest = 1.15
     """That of a dead channel, with an error: beyond, it is another quantity."""
     removable, of_shares, shown = True, True, 0.1
-    cure_of_unseen = Cure("calibrate these gains by a payload of known mass", call="find_gains")
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the torque of the model."""
@@ -197,6 +213,16 @@ class Gain(_OfTorque):
         gain[joint or 0] = 1.0 + float(values[0])
         gain = np.where(gain > DEAD, gain, 1.0)
         return model, [replace(each, tau=each.tau / gain) for each in samples]
+
+    def unseen(self, sizes: str) -> Finding:
+        """Return below which sizes the log does not show it."""
+        return Finding(
+            "gain_unseen",
+            "info",
+            f"A wrong torque gain would not show in this log {sizes}: other parameters take its"
+            " place",
+            Cure("calibrate these gains by a payload of known mass", call="find_gains"),
+        )
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return the gain, or that the torque is another quantity."""
