@@ -368,7 +368,7 @@ def test_a_study_says_what_its_files_cannot_hold(
         log, VirtualRobot.ideal(model).record(random_fourier(model, rng=3), rate=100.0).recording
     )
     call_of = ("identify", original, log, "--drive", ALL, "--out", tmp_path / "out")
-    status, out, _ = call(capsys, *call_of)
+    status, out, _ = call(capsys, *call_of, "--full")
     assert status == 0
     listing = out[out.index("written:") :]
     assert "robot.urdf\n              note: URDF has no place for the armature" in listing

@@ -13,6 +13,7 @@ from asbuilt.findings import joined
 from asbuilt.identification.effects.gathering import Candidate, EffectEquations
 from asbuilt.identification.effects.selection import Selection
 from asbuilt.identification.errors.omitted_bias import OmittedBias, moved_estimate, shrunken
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 
 if TYPE_CHECKING:
     from asbuilt.identification.identify import Fit
@@ -79,28 +80,35 @@ class Lacking:
         """
         if fit.uncertainty.basis.asked == "textbook":
             return None
-        place = {name: j for j, name in enumerate(self.names) if name}
-        kept = np.array([k for k, name in enumerate(fit.base.names) if name in place])
-        own = np.array([place[fit.base.names[k]] for k in kept])
-        gram = self.equations.stacked(fit.estimate.weights)[:-1, :-1]
-        size = np.sqrt(np.maximum(np.diag(gram)[own], np.finfo(np.float64).tiny))
-        inverse = np.linalg.pinv(gram[np.ix_(own, own)] / np.outer(size, size), hermitian=True)
-        follows = np.zeros((fit.base.n_base, len(self.columns)))
-        follows[kept] = (inverse @ (gram[np.ix_(own, self.columns)] / size[:, None])) / size[
-            :, None
-        ]
         mean, spread = self._shrunken()
-        free, V = follows @ mean, follows @ spread @ follows.T
-        moved = moved_estimate(fit.information, fit.estimate)
-        bias = moved @ free
-        covariance = np.outer(bias, bias) + moved @ V @ moved.T
+        own = moved_estimate(fit.information, fit.estimate) @ self._follows(
+            fit, fit.estimate.weights
+        )
+        plain = fit_least_squares(fit.information, weights="joint", prior=np.nan_to_num(fit.design))
+        free = self._follows(fit, plain.weights)
+        bias = own @ mean
+        covariance = np.outer(bias, bias) + own @ spread @ own.T
+        free_bias = free @ mean
         return OmittedBias(
             bias=bias,
             covariance=0.5 * (covariance + covariance.T),
-            free_bias=free,
-            free_covariance=np.outer(free, free) + V,
+            free_bias=free_bias,
+            free_covariance=np.outer(free_bias, free_bias) + free @ spread @ free.T,
             effects=self.text,
         )
+
+    def _follows(self, fit: Fit, weights: Array) -> Array:
+        """Return how weighted least squares moves (p, m) with the values of the columns."""
+        place = {name: j for j, name in enumerate(self.names) if name}
+        kept = np.array([k for k, name in enumerate(fit.base.names) if name in place])
+        own = np.array([place[fit.base.names[k]] for k in kept])
+        gram = self.equations.stacked(weights)[:-1, :-1]
+        size = np.sqrt(np.maximum(np.diag(gram)[own], np.finfo(np.float64).tiny))
+        inverse = np.linalg.pinv(gram[np.ix_(own, own)] / np.outer(size, size), hermitian=True)
+        across = gram[np.ix_(own, self.columns)] / size[:, None]
+        follows = np.zeros((fit.base.n_base, len(self.columns)))
+        follows[kept] = inverse @ across / size[:, None]
+        return follows
 
     def _shrunken(self) -> tuple[Array, Array]:
         """Return mean and covariance of the values; constants in the model keep their errors."""

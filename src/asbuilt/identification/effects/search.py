@@ -211,7 +211,8 @@ class _Search:
         before, after = errors
         effect = trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
-        of_log = effect.of_log and (not trial.relief.size or trial.relief.mean() > RULES.named)
+        at_joint = effect.of_log and trial.candidate.joint is not None
+        of_log = at_joint and (not trial.relief.size or trial.relief.mean() > RULES.named)
         return effect.key in self.applied or falls or of_log
 
     def _far_off(self, selection: Selection) -> tuple[list[_Removed], Selection]:

@@ -35,6 +35,7 @@ def missing_channel_findings(model: RobotModel, recording: FirstPass) -> Iterato
             " and what else this torque alone determines stay at CAD",
             Cure("log it, or name its column in a recording sheet: [columns] torque = [...]"),
             joint=joint.name,
+            torque=1.0,
         )
 
 
