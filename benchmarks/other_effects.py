@@ -23,6 +23,7 @@ from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -76,8 +77,10 @@ class Case(NamedTuple):
     others: list[Samples]
 
 
-def cases(names: Sequence[str], data: Path = SHARED) -> Iterator[Case]:
-    """Yield every set of recordings with the others of the same robot."""
+def recorded_robots(
+    names: Sequence[str], data: Path = SHARED
+) -> Iterator[tuple[str, Robot, RobotModel, list[Recording]]]:
+    """Yield each robot with its name, model and recordings; all robots without names."""
     for name, robot in (ROBOTS | FURTHER).items():
         if names and name not in names:
             continue
@@ -87,6 +90,12 @@ def cases(names: Sequence[str], data: Path = SHARED) -> Iterator[Case]:
         logs = [
             read_recordings([folder / each], model=model, **options)[0] for each in robot.recordings
         ]
+        yield name, robot, model, logs
+
+
+def cases(names: Sequence[str], data: Path = SHARED) -> Iterator[Case]:
+    """Yield every set of recordings with the others of the same robot."""
+    for name, robot, model, logs in recorded_robots(names, data):
         single = () if name in ONLY_SETS else tuple((k,) for k in range(len(logs)))
         for train in (*single, *robot.sets):
             heads = [logs[k] for k in train]

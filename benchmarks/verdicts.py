@@ -24,9 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
@@ -34,8 +32,8 @@ from asbuilt.workflow.study import Study, identify
 from asbuilt.workflow.validation import validate
 from drive_terms import SHARED
 from effects import case
-from other_effects import FURTHER, sheet_of
-from other_motions import REPEATED, ROBOTS
+from other_effects import recorded_robots
+from other_motions import REPEATED
 
 TRUSTED = 1.5
 """Error on another motion, in multiples of what was promised, up to which "USE" is right."""
@@ -95,15 +93,7 @@ def recorded_rows(
 
     With `validated` the next recording validates, and the others are what the promise is about.
     """
-    for name, robot in (ROBOTS | FURTHER).items():
-        if names and name not in names:
-            continue
-        model, options = load_robot(str(data / "models" / robot.description)), dict(robot.options)
-        folder = data / "data" / robot.folder
-        options["sheet"] = sheet_of(options, folder)
-        logs = [
-            read_recordings([folder / each], model=model, **options)[0] for each in robot.recordings
-        ]
+    for name, robot, model, logs in recorded_robots(names, data):
         for train in (*((k,) for k in range(len(logs))), *robot.sets):
             label = f"{name} {'+'.join(Path(logs[k].source).stem for k in train)}"
             judges = [(max(train) + 1) % len(logs)] if validated else []

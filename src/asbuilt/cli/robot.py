@@ -12,12 +12,14 @@ import typer
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
+    Browser,
     Contacts,
     Drive,
     FixedBase,
     FreeBase,
     Full,
     Out,
+    PagePort,
     Processes,
     Result,
     Robot,
@@ -193,19 +195,8 @@ def view(
             help="of pictures: auto, rendered (MuJoCo, OpenGL) or skeleton",
         ),
     ] = "auto",
-    port: Annotated[
-        int,
-        typer.Option(
-            "--port",
-            metavar="N",
-            min=0,
-            max=65_535,
-            help="port of the page, or the next free one",
-        ),
-    ] = 8080,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="open the page in a browser")
-    ] = True,
+    port: PagePort = 8080,
+    browser: Browser = True,
     reading: ReadingOptions,
     as_json: AsJson = False,
 ) -> None:

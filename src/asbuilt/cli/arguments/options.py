@@ -114,6 +114,13 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything ran
 AsJson = Annotated[
     bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")
 ]
+PagePort = Annotated[
+    int,
+    typer.Option(
+        "--port", metavar="N", min=0, max=65_535, help="port of the page, or the next free one"
+    ),
+]
+Browser = Annotated[bool, typer.Option("--browser/--no-browser", help="open the page in a browser")]
 Full = Annotated[bool, typer.Option("--full", help="print all rows and notes whatever their width")]
 FixedBase = Annotated[
     bool,

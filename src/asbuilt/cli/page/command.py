@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from asbuilt.cli.answers import answer
-from asbuilt.cli.arguments.options import AsJson, Out, complete_robot
+from asbuilt.cli.arguments.options import AsJson, Browser, Out, PagePort, complete_robot
 from asbuilt.errors import UsageError
 
 
@@ -27,19 +27,8 @@ def open(
         typer.Argument(metavar="[LOG...]", help="recordings; can be chosen on the page"),
     ] = None,
     *,
-    port: Annotated[
-        int,
-        typer.Option(
-            "--port",
-            metavar="N",
-            min=0,
-            max=65_535,
-            help="port of the page, or the next free one",
-        ),
-    ] = 8090,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="open the page in a browser")
-    ] = True,
+    port: PagePort = 8090,
+    browser: Browser = True,
     out: Out = Path("study"),
     as_json: AsJson = False,
 ) -> None:

@@ -14,7 +14,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
-from asbuilt.findings import Cure, Finding, Severity
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.torque_prediction import parameter_torque
 from asbuilt.registry import Registry
@@ -160,12 +160,12 @@ class Effect(ABC):
             return np.asarray((1.0 + values) * (1.0 + step) - 1.0)
         return np.asarray(values + step)
 
-    def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
-        """Return what is said of the effect where a model is without it."""
-        severity: Severity = "warning" if self.of_log else "info"
+    def finding(self, found: FoundEffect, model: RobotModel) -> Finding | None:
+        """Return what can be done about the effect where a model cannot have it, if anything."""
+        if not self.of_log:
+            return None
         message = f"Not in the model: {found.text}"
-        cure = CORRECT if self.of_log else None
-        return Finding("effect_found", severity, message, cure, joint=found.joint)
+        return Finding("effect_found", "warning", message, CORRECT, joint=found.joint)
 
     def unseen(self, sizes: str) -> Finding:
         """Return what is said where a log does not show it below some sizes."""

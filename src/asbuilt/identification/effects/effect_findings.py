@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.found_effect import FoundEffect
@@ -19,7 +17,7 @@ APPLY = Cure("identify with it", {"effects": "auto"})
 
 
 def effect_findings(effects: Effects) -> tuple[Finding, ...]:
-    """Return a finding for each effect, and what the log would not show."""
+    """Return what can be done about effects, and what the log would not show."""
     if effects.problem:
         return (
             Finding(
@@ -30,28 +28,29 @@ def effect_findings(effects: Effects) -> tuple[Finding, ...]:
                 Cure("record longer, and several motions"),
             ),
         )
-    return (
-        *(replace(_finding(each, effects.model), torque=_share(each)) for each in effects.found),
-        *_unseen(effects),
-    )
+    return (*_findings(effects), *_unseen(effects))
+
+
+def _findings(effects: Effects) -> Iterator[Finding]:
+    """Yield what can be done about effects that are not in the model."""
+    for each in effects.found:
+        effect = EFFECTS[each.effect]
+        if each.in_model:
+            continue
+        message = f"Not in the model: {each.text}"
+        said = (
+            Finding("effect_found", "warning", message, APPLY, joint=each.joint)
+            if effect.in_model
+            else effect.finding(each, effects.model)
+        )
+        if said is not None:
+            yield replace(said, torque=_share(each))
 
 
 def _share(each: FoundEffect) -> float:
     """Return the share of the squared torque error that an effect takes away."""
     kept = each.error_after / each.error_before if each.error_before > 0.0 else 1.0
     return max(0.0, 1.0 - kept**2)
-
-
-def _finding(each: FoundEffect, model: RobotModel) -> Finding:
-    if each.in_model:
-        return Finding("effect_in_model", "info", f"In the model: {each.text}", joint=each.joint)
-    effect, message = EFFECTS[each.effect], f"Not in the model: {each.text}"
-    if effect.in_model:
-        return Finding("effect_found", "warning", message, APPLY, joint=each.joint)
-    if each.effect in available_terms():
-        cure = Cure("if the robot has one, state it", {"effects": f"{each.effect}:joints=NUMBER"})
-        return Finding("effect_found", "info", message, cure, joint=each.joint)
-    return effect.finding(each, model)
 
 
 def _unseen(effects: Effects) -> Iterator[Finding]:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
+At = tuple[str, int | None]
+"""Key of an effect and the joint that it acts at (from 0; None: the whole robot)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """Name an effect at a joint (from 0; None: of the whole robot) and its parameters.
@@ -36,7 +40,7 @@ class Candidate:
     replaces: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
-    def at(self) -> tuple[str, int | None]:
+    def at(self) -> At:
         """Key and joint, the same for every trial value of a nonlinear parameter."""
         return self.effect.key, self.joint
 

@@ -20,7 +20,7 @@ from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
 from asbuilt.identification.effects.found_effect import FoundEffect, improvement
-from asbuilt.identification.effects.gathering import Candidate, gather_equations
+from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
 from asbuilt.identification.effects.lacking import Lacking
 from asbuilt.identification.effects.selection import RULES, Prior, Selection, Trial
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
@@ -73,7 +73,7 @@ class Effects:
     found: tuple[FoundEffect, ...] = ()
     fitted: tuple[NonlinearPlace, ...] = ()
     lacking: Lacking | None = None
-    unseen: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
+    unseen: Mapping[At, float] = field(default_factory=dict)
     problem: str = ""
 
     def beside_plateaus(self, joints: Collection[str]) -> Effects:
@@ -124,7 +124,7 @@ def find_effects(
 class _Removed:
     """Hold an effect taken out at values, its column staying, and held-out errors around it."""
 
-    at: tuple[str, int | None]
+    at: At
     values: Array
     errors: tuple[float, float]
     alternatives: tuple[Candidate, ...] = ()
@@ -147,7 +147,7 @@ class _Search:
     ) -> None:
         self.model, self.drive, self.samples = model, drive, samples
         self.wanted, self.applied = wanted, applied
-        self.impossible: set[tuple[str, int | None]] = set()
+        self.impossible: set[At] = set()
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
 
@@ -165,7 +165,7 @@ class _Search:
                 removed, selection = settled, beside
             else:
                 self.impossible.add(own.at)
-                selection = self._selection(removed)
+                selection.taken = [selection.own(each.at) for each in removed]
             path = selection.run()
         errors = _errors(selection, path)
         removed = [_advanced(each, selection) for each in removed]
@@ -282,7 +282,7 @@ class _Search:
 
     def _fitted(
         self, model: RobotModel, taken: Sequence[Candidate]
-    ) -> tuple[DriveSet, tuple[NonlinearPlace, ...], set[tuple[str, int | None]]]:
+    ) -> tuple[DriveSet, tuple[NonlinearPlace, ...], set[At]]:
         """Return drive terms with nonlinear parameters, those fitted, and what had none."""
         n = self.model.n_joints
         drive = with_terms(self.drive, taken, n)
@@ -361,9 +361,7 @@ class _Search:
         )
 
 
-def _errors(
-    selection: Selection, path: Sequence[Trial]
-) -> dict[tuple[str, int | None], tuple[float, float]]:
+def _errors(selection: Selection, path: Sequence[Trial]) -> dict[At, tuple[float, float]]:
     """Return the held-out errors before and after each effect was taken."""
     added = [each.candidate for each in path]
     given = [each for each in selection.taken if each not in added]
@@ -373,7 +371,7 @@ def _errors(
 
 def _advanced(removed: _Removed, selection: Selection) -> _Removed:
     """Return an effect with the values that leave nothing of it, to first order."""
-    own = next(each for each in selection.taken if each.at == removed.at)
+    own = selection.own(removed.at)
     step = _whole(selection.values()[own.places], own, selection)
     found = replace(removed, values=removed.effect.advanced(removed.values, step))
     if removed.effect.in_model and np.linalg.norm(found.values) > removed.effect.farthest:
@@ -386,13 +384,13 @@ def _advanced(removed: _Removed, selection: Selection) -> _Removed:
 
 def _acting(removed: _Removed, selection: Selection) -> Array:
     """Return the values of an effect that act on this robot."""
-    own = next(each for each in selection.taken if each.at == removed.at)
+    own = selection.own(removed.at)
     return removed.values[np.isin(selection.every_place(own), own.places)]
 
 
 def _trial_of(removed: _Removed, selection: Selection) -> Trial:
     """Return an effect that is taken out, with its errors as beside all others."""
-    own = next(each for each in selection.taken if each.at == removed.at)
+    own = selection.own(removed.at)
     covariance = np.zeros((len(removed.values),) * 2)
     acts = np.flatnonzero(_whole(np.ones(len(own.places)), own, selection))
     slope = 1.0 + float(removed.values[0]) if removed.effect.of_shares else 1.0

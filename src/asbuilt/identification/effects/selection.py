@@ -11,7 +11,7 @@ from scipy.special import chdtrc, fdtrc
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.effects.effect import Described
-from asbuilt.identification.effects.gathering import Candidate, EffectEquations
+from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +163,6 @@ class Selection:
         `applied` are the keys of effects that may become part of the model.
         """
         self.equations, self.prior, self.weights = equations, prior, weights
-        self._groups = groups
         self._total = equations.stacked(weights)
         self._held = [equations.stacked(weights, group) for group in groups]
         self._of_joints = [
@@ -176,7 +175,7 @@ class Selection:
         self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
         self.taken: list[Candidate] = []
         self.applied = applied
-        self.impossible: Collection[tuple[str, int | None]] = ()
+        self.impossible: Collection[At] = ()
         """Effects that turned out to have no size that robots have."""
         self.unsure: list[Trial] = []
         """Effects that are sure, but not beside CAD and on other motion."""
@@ -234,11 +233,15 @@ class Selection:
             return best
         return max(alike, key=lambda each: each.worth)
 
+    def own(self, at: At) -> Candidate:
+        """Return the effect at a joint that is taken."""
+        return next(each for each in self.taken if each.at == at)
+
     def every_place(self, candidate: Candidate) -> Indices:
         """Return the positions of all parameters of a candidate, whether they act or not."""
         return next(each for each in self.equations.candidates if each.at == candidate.at).places
 
-    def candidate(self, at: tuple[str, int | None]) -> Candidate:
+    def candidate(self, at: At) -> Candidate:
         """Return the first candidate of an effect at a joint, with what acts of it."""
         return self.acting(next(each for each in self.equations.candidates if each.at == at))
 
@@ -457,7 +460,7 @@ def _error_of_mean(values: Array) -> float:
 def _with_alternatives(taken: Trial, before: Sequence[Trial], after: Sequence[Trial]) -> Trial:
     """Return a trial with the look-alikes among those that were taken `before` and not `after`."""
     still = {taken.candidate.at, *(each.candidate.at for each in after)}
-    found: dict[tuple[str, int | None], Candidate] = {}
+    found: dict[At, Candidate] = {}
     for each in before:
         if each.candidate.at not in still and _look_alike(taken, each):
             found.setdefault(each.candidate.at, each.candidate)

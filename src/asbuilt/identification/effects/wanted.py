@@ -31,6 +31,11 @@ class EffectsWanted:
     drive: DriveSet = NO_DRIVE
     tilt: bool = False
 
+    @property
+    def named(self) -> bool:
+        """Whether what the recordings show is named."""
+        return self.choice != "none"
+
     @classmethod
     def parse(cls, text: str) -> EffectsWanted:
         """Read "auto", "find", "none" or a list of effects, with joints where they have some.

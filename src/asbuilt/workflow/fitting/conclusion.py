@@ -82,8 +82,7 @@ def conclude_study(
     trained, validations = fits.predicted(fits.samples), fits.judged(held)
     cause_data, too_short = _cause_data(fits, options.block_seconds)
     train, train_cad = _together(fits, trained)
-    wanted = options.wanted_effects.choice != "none"
-    named = fits.effects.found if wanted else ()
+    named = fits.effects.found if options.wanted_effects.named else ()
     conclude = partial(
         Fit.concluded,
         train=train,
@@ -178,10 +177,9 @@ def _model_findings(
 
 def _effect_findings(effects: Effects, options: StudyOptions) -> tuple[Finding, ...]:
     """Return what can be done about effects: errors of the log even where none are wanted."""
-    wanted = options.wanted_effects.choice != "none"
-    own = [each for each in effects.found if wanted or EFFECTS[each.effect].of_log]
-    said = effect_findings(replace(effects, found=tuple(own)))
-    return tuple(each for each in said if each.severity != "info" or each.code.endswith("_unseen"))
+    named = options.wanted_effects.named
+    own = [each for each in effects.found if named or EFFECTS[each.effect].of_log]
+    return effect_findings(replace(effects, found=tuple(own)))
 
 
 def _has_masses(model: RobotModel) -> bool:

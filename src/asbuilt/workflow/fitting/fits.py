@@ -157,8 +157,7 @@ def _fitted(
     if options.refine is None:
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
-        own = (choice, mounting, effects, flat)
-        return Fits(model, prepared, final, validated, *own, servo, None)
+        return Fits(model, prepared, final, validated, choice, mounting, effects, flat, servo, None)
     found = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,
@@ -173,8 +172,18 @@ def _fitted(
     if found.servo is not None:
         late = tuple((each.source, each.digest) for each in prepared.delay)
         prepared = replace(prepared, delay=delays_of(found.servo, late))
-    chosen = (choice, mounting, effects, flat)
-    return Fits(model, prepared, found.fit, found.fit, *chosen, found.servo, found.refined)
+    return Fits(
+        model,
+        prepared,
+        found.fit,
+        found.fit,
+        choice,
+        mounting,
+        effects,
+        flat,
+        found.servo,
+        found.refined,
+    )
 
 
 def _with_effects(

@@ -49,7 +49,6 @@ class LogRules:
     other_position: float = 5e-3
     """Difference of positions [rad or m] of a locked joint from which two logs do not merge."""
     checked_seconds: float = 120.0
-    """Time [s] ..."""
     checked_samples: int = 10_000
     """Time [s] and samples at the beginning of a log whose check suffices if it finds nothing."""
 
