@@ -20,6 +20,8 @@ DOCS = HERE.parents[1] / "docs"
 PAGE = DOCS / "benchmark" / "index.md"
 PICTURES = DOCS / "built" / "benchmark"
 MISSING = "–"
+LEAD = 0.1
+"""Part of the best other error by which a tool leads: one recording of a robot is one sample."""
 KINDS = {
     "torque": "Torque on another motion",
     "payload": "Payload of known mass",
@@ -77,7 +79,12 @@ def best_of(kind: str, values: Sequence[float | None]) -> float | None:
     known = [each for each in values if each is not None]
     if not known:
         return None
-    return min(known, key=lambda z: max(z, 1.0 / z) if kind == "halves" and z > 0 else z)
+    return min(known, key=lambda value: _cost(kind, value))
+
+
+def _cost(kind: str, value: float) -> float:
+    """Return what is least for the best: the error, or z as a factor from 1."""
+    return max(value, 1.0 / value) if kind == "halves" and value > 0 else value
 
 
 def _kind_table(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
@@ -92,15 +99,18 @@ def _kind_table(kind: str, own: dict[str, Task], results: dict[tuple[str, str], 
 
 
 def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
-    """Say where asbuilt leads, and by how much it does not."""
-    behind, led = [], 0
+    """Say where asbuilt leads, where by less than counts, and by how much it does not."""
+    behind, led, level = [], 0, []
     for task in own:
         values = {name: value_of(kind, results.get((task, name))) for name in tools()}
         ours, best = values.pop("asbuilt"), best_of(kind, list(values.values()))
         if ours is None or best is None:
             continue
         if best_of(kind, [ours, best]) == ours:
-            led += 1
+            if _cost(kind, ours) > (1.0 - LEAD) * _cost(kind, best):
+                level.append(task)
+            else:
+                led += 1
             continue
         who = next(name for name, value in values.items() if value == best)
         numbers = (
@@ -109,9 +119,10 @@ def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Ro
             else (f"{100 * ours:.1f} % to {100 * best:.1f} %")
         )
         behind.append(f"{task} ({numbers} of {who})")
-    if not led and not behind:
+    if not led and not behind and not level:
         return ""
-    sentence = f"asbuilt leads {led} of {led + len(behind)}"
+    sentence = f"asbuilt leads {led} of {led + len(level) + len(behind)}"
+    sentence += f"; by less than a tenth, which is no lead, {', '.join(level)}" if level else ""
     return sentence + (f"; it is behind on {', '.join(behind)}." if behind else ".")
 
 
