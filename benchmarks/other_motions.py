@@ -30,7 +30,7 @@ from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.calibration.mounting import find_mounting
+from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
@@ -200,7 +200,8 @@ def _row(
             for which in (train, others)
         )
         drive = usual_drive(model, logs[0].torque_source)
-        own = find_mounting(model, used, drive=drive).model if tilt else model
+        tilted = {"tilt"} if tilt else set()
+        own = find_effects(model, drive, used, keys=tilted, stated=tilted).model
         for method in methods:
             label = method if cutoff is None or method == "plain" else f"{method} {cutoff:g} Hz"
             start = time.perf_counter()

@@ -240,6 +240,11 @@ class RobotModel:
         return len(self.links)
 
     @property
+    def has_masses(self) -> bool:
+        """Whether the description gives the mass of some link."""
+        return any(link.inertia_known and link.inertia.mass > 0.0 for link in self.links)
+
+    @property
     def n_floating(self) -> int:
         """Number of coordinates of the base, which come first: 6, 3 if planar, 0 if it is fixed."""
         return count_base_joints(self.joints, self.links)

@@ -1,10 +1,11 @@
-from .calibration.mounting import find_mounting as find_mounting
 from .calibration.payload import Payload as Payload
 from .calibration.payload import identify_payload_samples as identify_payload_samples
 from .calibration.torque_gains import TorqueGains as TorqueGains
 from .calibration.torque_gains import identify_gains as identify_gains
 from .calibration.two_channels import TwoChannelEstimate as TwoChannelEstimate
 from .calibration.two_channels import identify_two_channels as identify_two_channels
+from .effects.search import Effects as Effects
+from .effects.search import find_effects as find_effects
 from .ensembles.ensemble import Ensemble as Ensemble
 from .ensembles.ensemble import draw_ensemble as draw_ensemble
 from .estimators.methods import Estimator as Estimator

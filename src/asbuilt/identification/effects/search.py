@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -14,7 +15,8 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.errors import AsbuiltError, IdentifiabilityError
+from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
+from asbuilt.findings import Cure, joined
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect
@@ -93,6 +95,7 @@ def find_effects(
     *,
     keys: Collection[str] | None = None,
     applied: Collection[str] | None = None,
+    stated: Collection[str] = (),
 ) -> Effects:
     """Find the effects that a description lacks, and add them to its model.
 
@@ -109,14 +112,26 @@ def find_effects(
     keys, applied
         Keys of the effects that are looked for, and of those that may become part of the model;
         None: all that there are, and all that models can have.
+    stated
+        Keys of effects of the whole robot that can be taken out, such as its tilt, and that are in
+        the model if they are sure, worth their torque or not.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the samples do not determine an effect that is stated, or it is larger than robots have.
+    UsageError
+        If this robot cannot have an effect that is stated.
     """
     wanted = [each for key, each in EFFECTS.items() if keys is None or key in keys]
     own = {e.key for e in wanted if e.in_model and (applied is None or e.key in applied)}
-    search = _Search(model, drive, _thinned(samples, LIMITS.samples), wanted, own)
+    search = _Search(model, drive, _thinned(samples, LIMITS.samples), wanted, own, stated)
     try:
         with one_blas_thread():
             return search.run()
     except (AsbuiltError, np.linalg.LinAlgError) as problem:
+        if stated:
+            raise
         return Effects(model, drive, problem=str(problem))
 
 
@@ -144,16 +159,18 @@ class _Search:
         samples: Sequence[Samples],
         wanted: Sequence[Effect],
         applied: Collection[str],
+        stated: Collection[str],
     ) -> None:
         self.model, self.drive, self.samples = model, drive, samples
-        self.wanted, self.applied = wanted, applied
+        self.wanted, self.applied, self.stated = wanted, applied, stated
         self.impossible: set[At] = set()
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
 
     def run(self) -> Effects:
         """Return the effects, found on robot and log without those that can be taken out."""
-        removed, selection = self._far_off(self._selection(()))
+        start = self._given if self.stated else self._far_off
+        removed, selection = start(self._selection(()))
         path = selection.run()
         while (first := self._to_remove(path, removed)) is not None:
             own = first.candidate
@@ -214,6 +231,34 @@ class _Search:
         at_joint = effect.of_log and trial.candidate.joint is not None
         of_log = at_joint and (not trial.relief.size or trial.relief.mean() > RULES.named)
         return effect.key in self.applied or falls or of_log
+
+    def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
+        """Return the stated effects that are sure and large enough, and the selection beside them.
+
+        Raises `UsageError` for effects that this robot cannot have.
+        """
+        none = np.zeros(0)
+        own = [_Removed((key, None), none, (0.0, 0.0)) for key in self.stated]
+        acting = {each.at: len(each.places) for each in selection.equations.candidates}
+        if missing := [each.effect.title for each in own if each.at not in acting]:
+            raise UsageError(
+                f"{self.model.name} can have no {joined(missing)}: its gravity is"
+                f" {self.model.gravity}"
+            )
+        found, beside = self._settled(
+            [replace(each, values=np.zeros(acting[each.at])) for each in own]
+        )
+        around = selection.held_out_error([]), beside.held_out_error(beside.taken)
+        kept = [replace(each, errors=around) for each in found if self._is_sure(each, beside)]
+        return (kept, beside) if len(kept) == len(found) else self._settled(kept)
+
+    def _is_sure(self, removed: _Removed, selection: Selection) -> bool:
+        """Return whether an effect that is taken out is no chance, and large enough to matter."""
+        own = selection.own(removed.at)
+        values, covariance = _acting(removed, selection), selection.values_of([own])[1]
+        square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+        possible = removed.effect.is_possible(removed.values, None, selection.equations.robot)
+        return possible and float(chdtrc(len(values), square)) < RULES.level
 
     def _far_off(self, selection: Selection) -> tuple[list[_Removed], Selection]:
         """Return the effect that is off by a factor, if one is, and the selection beside it.
@@ -374,10 +419,13 @@ def _advanced(removed: _Removed, selection: Selection) -> _Removed:
     own = selection.own(removed.at)
     step = _whole(selection.values()[own.places], own, selection)
     found = replace(removed, values=removed.effect.advanced(removed.values, step))
-    if removed.effect.in_model and np.linalg.norm(found.values) > removed.effect.farthest:
+    effect = removed.effect
+    if effect.in_model and np.linalg.norm(found.values) > effect.farthest:
+        most, _, unit = effect.size(np.array([effect.farthest]), np.zeros((1, 1)), revolute=True)
         raise IdentifiabilityError(
-            f"a {removed.effect.title} of {selection.equations.robot.model.name} is beyond what"
-            " robots in use have"
+            f"the {effect.title} of {selection.equations.robot.model.name} is more than {most:.0f}"
+            f" {unit}",
+            cure=Cure("correct gravity in the description"),
         )
     return found
 

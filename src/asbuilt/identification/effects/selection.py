@@ -22,6 +22,9 @@ class SelectionRules:
     """Probability that chance takes any, over all candidates (Bonferroni)."""
     certain: float = 1.0
     """Standard errors over groups of different motion by which the held-out error must fall."""
+    unheld: float = 2.0
+    """The same where the description has no masses: then nothing but the data holds the bodies, and
+    the model's will not be those of this fit."""
     worth: float = 0.02
     """Share of the squared torque error on other motion that an effect must take away: 1 % of the
     torque error."""
@@ -112,7 +115,8 @@ class Trial:
         if not self.is_sure(n_candidates, robot):
             return False
         mean, error = float(self.relief.mean()), self.relief_error
-        predicts = mean > RULES.certain * error and mean > RULES.worth
+        certain = RULES.certain if robot.model.has_masses else RULES.unheld
+        predicts = mean > certain * error and mean > RULES.worth
         imitated = self.nearer > RULES.imitated and mean > -error
         return predicts or imitated
 

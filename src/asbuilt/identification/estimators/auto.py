@@ -162,7 +162,7 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
         except AsbuiltError as problem:
             return free, f"{free.method}: the consistent fit failed ({problem})", ()
         effect = design_effect(information, consistent)
-        masses = any(link.inertia_known and link.inertia.mass > 0.0 for link in data.model.links)
+        masses = data.model.has_masses
         weights = [effect * each for each in RULES.beliefs] if masses else []
         parts = list(folds(information, different_motions(information, consistent.weights)))
         if len(parts) < RULES.fewest_folds:

@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import eigvalsh
 from scipy.optimize import nnls
 from scipy.special import fdtrc
 
@@ -281,8 +280,7 @@ def _inactive(A: Array, b: Array, bounded: Mask) -> Mask:
     The others are eliminated (Lawson & Hanson, Solving Least Squares Problems, 1974, ch. 23);
     directions that the data hardly determine are held near 0.
     """
-    largest = eigvalsh(A.T @ A, subset_by_index=[A.shape[1] - 1] * 2)[0]
-    weak = np.sqrt(ASSUMED.weakest * largest)
+    weak = np.sqrt(ASSUMED.weakest) * np.linalg.norm(A, 2)
     rows = np.vstack([A, weak * np.eye(A.shape[1])])
     Q = np.linalg.qr(rows[:, ~bounded])[0]
     left = np.column_stack([rows[:, bounded], np.append(b, np.zeros(A.shape[1]))])

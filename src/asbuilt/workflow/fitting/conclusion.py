@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.locking import lock_findings
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.experiment.quality.checks import RecordingCheck
@@ -82,7 +81,9 @@ def conclude_study(
     trained, validations = fits.predicted(fits.samples), fits.judged(held)
     cause_data, too_short = _cause_data(fits, options.block_seconds)
     train, train_cad = _together(fits, trained)
-    named = fits.effects.found if options.wanted_effects.named else ()
+    named = tuple(
+        each for each in fits.effects.found if options.wanted_effects.named or each.in_model
+    )
     conclude = partial(
         Fit.concluded,
         train=train,
@@ -96,7 +97,7 @@ def conclude_study(
         notes=_notes(fits, cutoffs),
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
-        corrected=("mounting",) if fits.mounting is not None or tilts(fits.effects.found) else (),
+        corrected=("mounting",) if tilts(fits.effects.found) else (),
         effects=named,
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
@@ -171,7 +172,7 @@ def _model_findings(
         ),
         *servo_findings(fits.model, fits.servo, fits.choice.drive),
         *refinement_findings(fits.refined),
-        *(cause_findings(attribution) if _has_masses(fits.model) else ()),
+        *(cause_findings(attribution) if fits.model.has_masses else ()),
     )
 
 
@@ -180,11 +181,6 @@ def _effect_findings(effects: Effects, options: StudyOptions) -> tuple[Finding, 
     named = options.wanted_effects.named
     own = [each for each in effects.found if named or EFFECTS[each.effect].of_log]
     return effect_findings(replace(effects, found=tuple(own)))
-
-
-def _has_masses(model: RobotModel) -> bool:
-    """Return whether the description has masses, without which CAD has no error to explain."""
-    return any(link.inertia_known and link.inertia.mass > 0.0 for link in model.links)
 
 
 def _together(fits: Fits, predictions: Sequence[Validation]) -> tuple[TorqueMetrics, TorqueMetrics]:
@@ -224,7 +220,6 @@ def _cause_data(
 def _notes(fits: Fits, cutoffs: CutoffSweep | None) -> tuple[str, ...]:
     return (
         *known_mass_notes(fits.model),
-        *(() if fits.mounting is None else (fits.mounting.sentence,)),
         *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
         *servo_notes(fits.model, fits.servo),
     )

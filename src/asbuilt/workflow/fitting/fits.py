@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import IdentifiabilityError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import (
     DriveChoice,
     drive_effects,
@@ -66,7 +65,6 @@ class Fits:
     final: Fit
     validated: Fit
     choice: DriveChoice
-    mounting: Mounting | None
     effects: Effects
     plateaus: tuple[Plateau, ...]
     servo: ServoEstimate | None
@@ -136,7 +134,7 @@ def _fitted(
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
-    model, choice, mounting, effects, flat = _with_effects(model, prepared, options)
+    model, choice, effects, flat = _with_effects(model, prepared, options)
 
     def fitted(samples: Sequence[Samples], drive: DriveSet) -> Fit:
         fit = fit_samples(
@@ -157,7 +155,7 @@ def _fitted(
     if options.refine is None:
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
-        return Fits(model, prepared, final, validated, choice, mounting, effects, flat, servo, None)
+        return Fits(model, prepared, final, validated, choice, effects, flat, servo, None)
     found = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,
@@ -178,7 +176,6 @@ def _fitted(
         found.fit,
         found.fit,
         choice,
-        mounting,
         effects,
         flat,
         found.servo,
@@ -188,7 +185,7 @@ def _fitted(
 
 def _with_effects(
     model: RobotModel, prepared: Prepared, options: StudyOptions
-) -> tuple[RobotModel, DriveChoice, Mounting | None, Effects, tuple[Plateau, ...]]:
+) -> tuple[RobotModel, DriveChoice, Effects, tuple[Plateau, ...]]:
     """Return the robot with the effects that are wanted, its drive terms, and what was found.
 
     They are chosen on what the final fit uses, so that holding out by default changes no value; the
@@ -198,24 +195,26 @@ def _with_effects(
     drive = stated_drive(model, samples, options.drive)
     for term in wanted.drive.terms:
         drive = drive.with_term(term)
-    mounting = None
-    if options.mounting == "estimate" or wanted.tilt:
-        seconds = options.block_seconds
-        mounting = find_mounting(model, samples, drive=drive, block_seconds=seconds)
-        model = mounting.model
     effects = Effects(model, drive)
     flat: tuple[Plateau, ...] = ()
+    stated = {Tilt.key} if options.mounting == "estimate" or wanted.tilt else set()
     fixed = model.n_floating == 0  # else a column of one joint is in the rows of all
-    if fixed and (samples[0].torque_source != "command" or isinstance(options.drive, str)):
-        flat = plateaus(model, drive, samples, options.block_seconds)
-        keys = set(EFFECTS) - ({Tilt.key} if mounting else set())
-        applied = _open_effects(model, options)
-        clean = without_plateaus(samples, flat)
-        effects = find_effects(model, drive, clean, keys=keys, applied=applied)
-        effects = effects.beside_plateaus({model.joint_names[each.joint] for each in flat})
+    if stated and not fixed:
+        raise UsageError(f"{model.name} has a free base: the log has its tilt, state none")
+    open_to_all = samples[0].torque_source != "command" or isinstance(options.drive, str)
+    if fixed and (open_to_all or stated):
+        flat = plateaus(model, drive, samples, options.block_seconds) if open_to_all else ()
+        effects = find_effects(
+            model,
+            drive,
+            without_plateaus(samples, flat),
+            keys=None if open_to_all else stated,
+            applied=_open_effects(model, options) | stated,
+            stated=stated,
+        ).beside_plateaus({model.joint_names[each.joint] for each in flat})
     choice = settle_nonlinear(effects.model, samples, effects.drive)
     choice = replace(choice, fitted=(*effects.fitted, *choice.fitted))
-    return effects.model, choice, mounting, effects, flat
+    return effects.model, choice, effects, flat
 
 
 def _open_effects(model: RobotModel, options: StudyOptions) -> set[str]:
