@@ -99,6 +99,7 @@ def conclude_study(
         servo_errors=None if fits.servo is None else fits.servo.errors,
         corrected=("mounting",) if fits.mounting is not None or tilts(fits.effects.found) else (),
         effects=named,
+        encoders=fits.encoders,
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
     lacking = fits.effects.lacking
