@@ -18,13 +18,15 @@ from asbuilt.tables import plus_minus
 class EncoderRules:
     """Hold when what lies between two encoders is determined: own choices."""
 
-    apart: float = 0.2
+    apart: float = 0.05
     """Difference of the encoders, relative to the range of the motor, beyond which they belong to
     different coordinates, as in a coupled wrist."""
     blocks: int = 20
     """Time blocks from whose jackknife errors follow."""
     sure: float = 4.0
     """Standard errors from which a compliance counts as determined."""
+    better: float = 0.8
+    """Share of what is left of the difference from which another form of friction is better."""
     shown: float = 3.0
     """Standard errors from which damping, rotor and hysteresis are told from none."""
 
@@ -154,7 +156,10 @@ def identify_encoders(
                 late = 0.0 if pair is None else pair.lag
                 parts = zip(given, taken, strict=True)
                 rows = np.concatenate([_rows(each, k, f[:, k], late) for each, f in parts])
-                pair = _pair(name, rows, sensor, revolute[k])
+                forms = (rows[:, 0] - f for f in (rows[:, 1], _plain_friction(rows)))
+                pair = _closer(
+                    *(_pair(name, np.c_[s, rows[:, 2:]], sensor, revolute[k]) for s in forms)
+                )
                 pair = replace(pair, lag=pair.lag + late)
             assert pair is not None
             found.append(pair)
@@ -237,14 +242,15 @@ def _sides(samples: Samples, k: int, lag: float = 0.0) -> tuple[Array, Array]:
 
 
 def _rows(samples: Samples, k: int, friction: Array, lag: float) -> Array:
-    """Return the columns and, last, the difference of the encoders, filtered, (M, 8).
+    """Return torque, friction, columns and, last, the difference of the encoders, filtered, (M, 9).
 
     The link's is put forward by a lag [s].
     """
     motor, link = _sides(samples, k, lag)
     apart = motor - link
     columns = (
-        samples.tau[:, k] - friction,
+        samples.tau[:, k],
+        friction,
         motor[2],
         apart[1],
         link[1],
@@ -254,6 +260,28 @@ def _rows(samples: Samples, k: int, friction: Array, lag: float) -> Array:
         apart[0],
     )
     return samples.filtered(np.stack(columns, axis=1))
+
+
+def _closer(identified: EncoderPair, plain: EncoderPair) -> EncoderPair:
+    """Return the pair by plain friction where that identified is of a form that the drive lacks.
+
+    Such does harm where the motion reverses; lag and hysteresis are then as sure as both agree.
+    """
+    if plain.rest > RULES.better * identified.rest:
+        return identified
+    return replace(
+        plain,
+        lag_error=float(np.hypot(plain.lag_error, plain.lag - identified.lag)),
+        hysteresis_error=float(
+            np.hypot(plain.hysteresis_error, plain.hysteresis - identified.hysteresis)
+        ),
+    )
+
+
+def _plain_friction(rows: Array) -> Array:
+    """Return the part of friction that is viscous, dry and constant, (M,)."""
+    plain = rows[:, [4, 5, 7]]
+    return np.asarray(plain @ np.linalg.lstsq(plain, rows[:, 1], rcond=None)[0])
 
 
 def _pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:
