@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
@@ -97,6 +98,24 @@ class EncoderPair:
         if self.stiffness is None or self.relaxation < RULES.shown * self.relaxation_error:
             return None
         return self.relaxation * self.stiffness[0], self.relaxation_error * self.stiffness[0]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers by name; None for what is not determined."""
+        stiffness, damping = (each or (None, None) for each in (self.stiffness, self.damping))
+        return {
+            "joint": self.joint,
+            "lag": self.lag,
+            "lag_error": self.lag_error,
+            "stiffness": stiffness[0],
+            "stiffness_error": stiffness[1],
+            "damping": damping[0],
+            "damping_error": damping[1],
+            "rotor": self.rotor,
+            "rotor_error": self.rotor_error,
+            "hysteresis": self.hysteresis,
+            "hysteresis_error": self.hysteresis_error,
+            "rest": self.rest,
+        }
 
     @property
     def text(self) -> str:

@@ -512,7 +512,7 @@ class IdentificationResult:
             *("covariance", "textbook_covariance", "singular_values", "cause_data"),
             *("free", "scatter", "trained", "corrected", "bias"),
         )
-        document = self._document()
+        document = self._document() | {"encoders": [each.as_dict() for each in self.encoders]}
         return {name: value for name, value in document.items() if name not in left_out}
 
     def _document(self) -> dict[str, Any]:
