@@ -320,6 +320,13 @@ def export(
         bool,
         typer.Option("--force", help="with --nearest: write it however large its error"),
     ] = False,
+    elastic: Annotated[
+        bool,
+        typer.Option(
+            "--elastic",
+            help="in MJCF, a joint each for motor and link where two encoders show the stiffness",
+        ),
+    ] = False,
     to: Annotated[
         list[str] | None,
         typer.Option(
@@ -356,7 +363,8 @@ def export(
             "an ensemble is a set of MJCF or URDF files in one folder",
             {name: given is not None for name, given in others.items()}
             | {"--urdf FILE": urdf is not None and not bare, "--nearest": nearest}
-            | {"--force": force, "--to": bool(to), "--observer": observer is not None},
+            | {"--force": force, "--to": bool(to), "--observer": observer is not None}
+            | {"--elastic": elastic},
         )
         with shared_work(workers, scheduler) as shared:
             _export_ensemble(read_result(result), ensemble, "urdf" if bare else "mjcf", seed, out,
@@ -385,6 +393,7 @@ def export(
         nearest=nearest,
         force=force,
         simulators=places,
+        elastic=elastic,
     )
     answer(as_json, exported.as_document, exported.as_text)
 

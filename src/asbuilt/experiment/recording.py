@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,9 @@ from asbuilt.findings import Cure, joined
 
 TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
 TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "command", "unknown")
+EncoderSide = Literal["motor", "link"]
+ENCODERS: Mapping[str, str] = {"motor": "q_motor", "link": "q_link"}
+"""Positions of a second encoder of each joint, by the side of the drive train that it is on."""
 
 
 FLIPPED = "the sign of every torque was flipped"
@@ -229,6 +232,15 @@ class Recording:
         measured = [_is_signal(*each) for each in zip(self.tau.T, self.q.T, strict=True)]
         undriven = [name in self.undriven for name in self.joint_names]
         return np.logical_or(measured, undriven)
+
+    @property
+    def second_encoder(self) -> tuple[EncoderSide, Array] | None:
+        """Side and positions (N, n) of a second encoder of each joint; None without one."""
+        for side in get_args(EncoderSide):
+            other = self.extra.get(ENCODERS[side])
+            if other is not None and other.shape == self.q.shape:
+                return side, other
+        return None
 
     def with_torque_of(self, has_torque: Mask) -> Recording:
         """Return the recording with torques of zero at joints that have none."""

@@ -57,13 +57,13 @@ def screen_text(
     Parameters
     ----------
     opening
-        The verdict, or a title.
+        The verdict, or a title; further lines are paragraphs of their own.
     effects, joints, findings
         What CAD lacks, the torque errors of the joints, and ranked findings.
     cure_text
         Function that writes a cure, for an interface that adds the names of its options.
     """
-    lines = wrapped(opening).split("\n")
+    lines = [line for each in opening.split("\n") for line in wrapped(each).split("\n")]
     lines += effect_lines(effects, cure_text)
     lines += ["", *joints.as_text(most=RULES.joints).rstrip("\n").split("\n")]
     room = RULES.lines - len(lines)

@@ -156,7 +156,7 @@ def predict_both(
         measured=as_built.measured,
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
-        drive=samples.filtered(_drive_torque(model, base, estimates, samples, rigid)),
+        drive=samples.filtered(friction_torque(model, base, estimates, samples, rigid)),
         metrics_as_built=as_built.metrics(),
         metrics_cad=by_design.metrics(),
     )
@@ -233,7 +233,7 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
     return design_values(cad, result.base)
 
 
-def _drive_torque(
+def friction_torque(
     model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples, rigid: Array
 ) -> Array:
     """Return the torque (N, n) of the identified drive terms other than armature and springs.

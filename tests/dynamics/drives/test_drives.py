@@ -113,7 +113,7 @@ def test_a_new_term_brings_columns_parameters_and_load():
 
 
 def _has_speed(term, key):
-    return key in ("balancer", "extension_spring") or any(
+    return key in ("balancer", "extension_spring", "cylinder") or any(
         parameter.speed for parameter in term.nonlinear
     )
 

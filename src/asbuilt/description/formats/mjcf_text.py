@@ -14,6 +14,7 @@ from asbuilt.description.appearance import Solid, link_solids, stretched_length
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, Joint, Loop, RobotModel
 from asbuilt.description.rotation import quaternion_from_rotation
+from asbuilt.description.structure.springs import spring_ends
 from asbuilt.errors import InertiaError
 
 FEATHER = 1e-14
@@ -31,11 +32,12 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
 
     The body frame is the link frame: with the joint at `before motion(q) after`, the body stands at
     `before after`, and the joint's axis and anchor in it are `R_after^T z` and `-R_after^T
-    p_after`. Armature, viscous and Coulomb friction become armature, damping and frictionloss; an
-    offset has no place in MJCF and is left out. Joints that follow one other do so by an equality,
-    those that follow several by a fixed tendon of constant length. Loops become equalities, and the
-    reference posture of the joints is one at which they are closed. `actuators` adds a torque motor
-    per joint, `shapes` rods and housings that neither weigh nor collide.
+    p_after`. Armature, viscous and Coulomb friction become armature, damping and frictionloss;
+    an offset has no place in MJCF and is left out. Springs are the joint's, or spatial tendons.
+    Joints that follow one other do so by an equality, those that follow several by a fixed
+    tendon of constant length. Loops become equalities, and the reference posture of the joints
+    is one at which they are closed. `actuators` adds a torque motor per joint, `shapes` rods
+    and housings that neither weigh nor collide.
 
     Raises
     ------
@@ -76,6 +78,7 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
         for solid in link_solids(model):
             _geom(bodies[solid.link], solid)
     _add_equalities(root, model, at)
+    _add_springs(root, model, bodies)
     if actuators:
         motors = SubElement(root, "actuator")
         for joint in model.joints:
@@ -118,6 +121,40 @@ def _add_equalities(root: Element, model: RobotModel, at: Array) -> None:
     for loop in model.loops:
         _add_loop(equality, model, loop, rest)
     root.extend(each for each in (tendons, equality) if len(each))
+
+
+def _add_springs(root: Element, model: RobotModel, bodies: Mapping[int, Element]) -> None:
+    """Add springs between two links as spatial tendons; cylinders are springs that push.
+
+    A cylinder has the force of a spring of its stiffness Kc and free length `length + Pc / Kc`.
+    """
+    tendons = next(root.iter("tendon"), Element("tendon"))
+    written = len(tendons)
+    for k, joint in enumerate(model.joints):
+        for key, numbers in joint.drive.terms.items():
+            rate, free = _tendon_spring(key, numbers)
+            if not rate:
+                continue
+            ends = spring_ends(joint, numbers)
+            name = f"{key} at {joint.name}"
+            tendon = Element(
+                "spatial", name=name, stiffness=_numbers([rate]), springlength=_numbers([free])
+            )
+            for side, body, point in zip("ab", (joint.parent, k), ends, strict=True):
+                site = {"name": f"{name} {side}", "pos": _numbers(point), "size": "0.005"}
+                SubElement(bodies[body], "site", site)
+                SubElement(tendon, "site", site=site["name"])
+            tendons.append(tendon)
+    if len(tendons) and not written:
+        root.append(tendons)
+
+
+def _tendon_spring(key: str, numbers: Mapping[str, float]) -> tuple[float, float]:
+    """Return stiffness [N/m] and free length [m] of a drive term; no stiffness if it has none."""
+    if key == "extension_spring":
+        return numbers.get("Ke", 0.0), numbers["length"]
+    rate = numbers.get("Kc", 0.0) if key == "cylinder" else 0.0
+    return rate, numbers["length"] + numbers.get("Pc", 0.0) / rate if rate else 0.0
 
 
 def _add_polynomial(
@@ -187,6 +224,10 @@ def _joint(joint: Joint) -> dict[str, str]:
     ):
         if value is not None and value != 0.0:
             fields[name] = _numbers([value])
+    if stiffness := (spring := drive.terms.get("spring", {})).get("Ks"):
+        fields.update(
+            stiffness=_numbers([stiffness]), springref=_numbers([spring.get("rest", 0.0)])
+        )
     return fields
 
 

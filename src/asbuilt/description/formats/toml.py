@@ -46,6 +46,7 @@ from asbuilt.description.rotation import (
     straightened,
 )
 from asbuilt.description.structure.motors import coupled_joints
+from asbuilt.description.structure.springs import Spring, with_springs
 from asbuilt.errors import AsbuiltError, DescriptionError
 from asbuilt.untrusted import parsed_toml, read_bytes, read_text, reason
 
@@ -81,6 +82,7 @@ def robot_from_toml(
     file = checked_file(content, source)
     try:
         model = _extended(file, source, folder) if file.extends else _model(file, source)
+        model = with_springs(model, _springs(file, model)) if file.springs else model
         return model.closed() if close else model
     except AsbuiltError as error:
         raise DescriptionError(f"{source}: {error}") from None
@@ -365,6 +367,21 @@ def _loops(file: RobotFile) -> tuple[Loop, ...]:
             name=table.name,
         )
         for table in file.loops
+    )
+
+
+def _springs(file: RobotFile, model: RobotModel) -> tuple[Spring, ...]:
+    """Return the springs, the rest of those that turn in radians."""
+    slides = {joint.name for joint in model.joints if not joint.is_revolute}
+    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
+    return tuple(
+        Spring(
+            **table.model_dump(exclude={"point_a", "point_b", "rest"}),
+            point_a=np.array(table.point_a),
+            point_b=np.array(table.point_b),
+            rest=table.rest * (1.0 if table.joint in slides else scale),
+        )
+        for table in file.springs
     )
 
 

@@ -384,6 +384,40 @@ class LoopTable(_Table):
         return self
 
 
+class SpringTable(_Table):
+    """A spring or cylinder between points of two links, or a torsion spring at a joint.
+
+    `stiffness` [N/m, N m/rad] and the `force` [N] of a cylinder at its `free_length` are identified
+    where they are left out; `rest` is in the angle unit of the file, or a position [m].
+    """
+
+    name: str = ""
+    kind: Literal["extension", "cylinder", "torsion"] = "extension"
+    link_a: str = ""
+    point_a: Vector = (0.0, 0.0, 0.0)
+    link_b: str = ""
+    point_b: Vector = (0.0, 0.0, 0.0)
+    free_length: Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=10.0)] = 0.0
+    joint: str = ""
+    rest: Finite = 0.0
+    stiffness: Gain | None = None
+    force: Finite | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> SpringTable:
+        given = self.model_fields_set
+        ends = {"link_a", "point_a", "link_b", "point_b", "free_length"}
+        at_joint = {"joint", "rest"}
+        needed = {"joint"} if self.kind == "torsion" else ends
+        refused = (ends | {"force"}) if self.kind == "torsion" else at_joint
+        refused = refused if self.kind != "extension" else {*refused, "force"}
+        if wrong := given & refused:
+            raise ValueError(f"a spring of kind {self.kind} takes no {', '.join(sorted(wrong))}")
+        if missing := needed - given:
+            raise ValueError(f"{', '.join(sorted(missing))}: is missing for kind {self.kind}")
+        return self
+
+
 class RobotFile(_Table):
     """The whole file; with `extends`, what it says beside another description."""
 
@@ -403,6 +437,7 @@ class RobotFile(_Table):
     motors: tuple[MotorTable, ...] = ()
     couplings: tuple[CouplingTable, ...] = ()
     loops: tuple[LoopTable, ...] = ()
+    springs: tuple[SpringTable, ...] = ()
     passive: tuple[str, ...] = ()
     posture: dict[str, Finite] = {}
 

@@ -136,6 +136,18 @@ def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
     return drive, np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
 
 
+def spring_columns(model: RobotModel, q: Array) -> Array:
+    """Return the columns of described springs, balancers and cylinders, (n, N, m).
+
+    At positions (N, n); zero at joints that lack them.
+    """
+    described = (term for term in described_drive(model)[0].terms if term.by_construction)
+    drive = DriveSet(tuple(term for term in described if term.by_position and not term.of_motor))
+    still = np.zeros_like(q)
+    each = [drive_columns(drive, k, q, still, still).T for k in range(model.n_joints)]
+    return np.stack(each)
+
+
 def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:
     """Return a term as described: its nonlinear parameters and joints (counted from 0)."""
     parameters: dict[str, NonlinearValue] = {}

@@ -9,7 +9,6 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.logs.columns.layout import ENCODERS
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined
 
@@ -184,13 +183,13 @@ def encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | None:
 
 def encoder_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
     """Report the lag between two encoders of each joint, and joints without the second."""
-    second = next((name for name in ENCODERS.values() if name in recording.extra), None)
+    second = recording.second_encoder
     if second is None or recording.n_samples < 2 * BLOCKS:
         return
-    sign = 1.0 if second == ENCODERS["link"] else -1.0
+    sign = 1.0 if second[0] == "link" else -1.0
     found = [
         encoder_lag(recording.t, own, other)
-        for own, other in zip(recording.q.T, recording.extra[second].T, strict=True)
+        for own, other in zip(recording.q.T, second[1].T, strict=True)
     ]
     # Standard errors beyond which a lag is one.
     lagging = [

@@ -155,6 +155,7 @@ class PreparedMotion:
             self.clock_bound,
             (*recording.notes, *self.grid.notes, *self.notes, *plan.description()),
         )
+        samples = self._with_second_encoder(samples)
         if samples.parallel is not None and samples.n_filtered == 0:
             raise RecordingError(
                 f"{recording.source}: no segment is as long as the parallel filter at"
@@ -168,6 +169,21 @@ class PreparedMotion:
             return samples
         left_out = f"{rested:.3g} s in which all joints are at rest were left out"
         return replace(samples, provenance=(*samples.provenance, left_out))
+
+    def _with_second_encoder(self, samples: Samples) -> Samples:
+        """Return samples with the motion by a second encoder, filtered like that by the first."""
+        second = self.recording.second_encoder
+        if second is None or not np.isfinite(second[1]).all():
+            return samples
+        side, positions = second
+        parts = [
+            (segment.t, np.stack(self.plan.motion(replace(segment, q=q, qd=None, qdd=None))))
+            for segment, q in zip(self.segments, self.grid.channel(positions), strict=True)
+            if self.plan.fits(segment)
+        ]
+        at = np.searchsorted(np.concatenate([t for t, _ in parts]), samples.t)
+        moved = np.concatenate([each for _, each in parts], axis=1)
+        return replace(samples, encoder=moved[:, at], encoder_at=side)
 
 
 def grid_of(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
-from asbuilt.experiment.recording import TorqueSource
+from asbuilt.experiment.recording import EncoderSide, TorqueSource
 from asbuilt.findings import joined
 
 if TYPE_CHECKING:
@@ -60,6 +60,9 @@ class Samples:
     contact
         Contacts of a robot with a free base, (N, n_contacts), above 0 where they are closed or may
         be, so that forces act there which nobody measured; None: it touches nothing.
+    encoder, encoder_at
+        Position, velocity and acceleration by a second encoder of each joint, (3, N, n), and its
+        side of the drive train, "motor" or "link"; None: joints have one encoder.
 
     Raises
     ------
@@ -95,6 +98,8 @@ class Samples:
     slowest: tuple[float, ...] = ()
     clock_bound: float = np.inf
     contact: Array | None = None
+    encoder: Array | None = None
+    encoder_at: EncoderSide = "link"
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)
@@ -124,6 +129,14 @@ class Samples:
                     f" {contact.shape}"
                 )
             object.__setattr__(self, "contact", contact)
+        if self.encoder is not None:
+            encoder = _read_only(self.encoder)
+            if encoder.shape != (3, *shape):
+                raise RecordingError(
+                    f"{self.source}: a second encoder must have shape {(3, *shape)}, got"
+                    f" {encoder.shape}"
+                )
+            object.__setattr__(self, "encoder", encoder)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
         object.__setattr__(self, "segments", segments)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
@@ -227,6 +240,7 @@ class Samples:
             tau=take(self.tau),
             tau_raw=take(self.tau_raw),
             contact=None if self.contact is None else take(self.contact),
+            encoder=None if self.encoder is None else np.stack([take(x) for x in self.encoder]),
             segments=segments,
         )
 

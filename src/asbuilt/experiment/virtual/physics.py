@@ -70,6 +70,8 @@ class Physics:
     timestep
         Step of the integrator [s], fourth-order Runge-Kutta, divided further where viscous
         friction decays faster.
+    springs
+        Whether described springs and cylinders act.
     extend
         Called with MuJoCo's `MjSpec` of the robot before it is compiled, to add actuators or
         tendons.
@@ -90,6 +92,7 @@ class Physics:
         viscous: ArrayLike = 0.0,
         coulomb: ArrayLike = 0.0,
         timestep: float = 1e-3,
+        springs: bool = False,
         extend: Callable[[Any], None] | None = None,
     ) -> None:
         self._mujoco = mujoco_module()
@@ -97,7 +100,10 @@ class Physics:
         n = model.n_joints
         bare = replace(
             model,
-            joints=tuple(replace(joint, drive=DriveValues()) for joint in model.joints),
+            joints=tuple(
+                replace(joint, drive=DriveValues(terms=joint.drive.terms if springs else {}))
+                for joint in model.joints
+            ),
             links=tuple(
                 (
                     link
@@ -255,7 +261,8 @@ class Physics:
             self.rub(coulomb[k], viscous[k])
             self._mujoco.mj_forward(self.compiled, data)
             acceleration[k] = data.qacc[order]
-            at_joints = -(data.qfrc_constraint + data.qfrc_passive)[self._every]
+            of_springs = data.qfrc_spring
+            at_joints = (of_springs - data.qfrc_constraint - data.qfrc_passive)[self._every]
             friction[k] = at_joints @ moved.by_sample[k % len(moved.by_sample)]
         return acceleration, friction
 

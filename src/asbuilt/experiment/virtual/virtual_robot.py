@@ -405,6 +405,7 @@ class VirtualRobot:
             viscous=train.of("viscous", n),
             coulomb=train.of("coulomb", n),
             timestep=1.0 / ticks / substeps,
+            springs=True,
         )
         moved = track(
             physics,

@@ -13,7 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.findings import joined
+from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.tables import share, significant
 
@@ -218,6 +218,57 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
         combinations=combinations,
         advice=advice,
     )
+
+
+def spring_findings(result: IdentificationResult) -> tuple[Finding, ...]:
+    """Report springs, with the masses that no motion of this recording tells them apart from."""
+    base, names = result.base, result.model.joint_names
+    springs = {
+        f"{symbol}{k + 1}": names[k]
+        for k in range(result.model.n_joints)
+        for term in base.drive.terms
+        for symbol in term.symbols
+        if term.by_construction and term.by_position and term.is_at(k)
+    }
+    masses = np.flatnonzero((base.columns < 10 * result.model.n_links) & (result.std_errors > 0))
+    found = [
+        (each.name, joined([base.names[j] for j in instead]))
+        for k, each in enumerate(result.parameters)
+        if each.name in springs and each.std_error > LIMITS.well * abs(each.estimate)
+        if (instead := _instead(result, k, masses)).size
+    ]
+    return tuple(
+        Finding(
+            "spring_or_mass",
+            "info",
+            f"This recording determines {spring}, a spring, together with {bodies} only: one takes"
+            " the place of the other",
+            Cure(
+                "move the joint over more of its range, with other joints in other poses, or state"
+                " the stiffness of the spring"
+            ),
+            joint=springs[spring],
+        )
+        for spring, bodies in found
+    )
+
+
+def _instead(result: IdentificationResult, k: int, others: Indices) -> Indices:
+    """Return which of the other parameters take the place of parameter k, the closest first.
+
+    None do if its error with the others known is not much smaller.
+    """
+    error = result.std_errors
+    if not (error[k] > 0.0 and others.size):
+        return others[:0]
+    correlation = result.covariance[np.ix_(others, others)] / np.outer(error[others], error[others])
+    own = result.covariance[others, k] / (error[others] * error[k])
+    explained = float(own @ np.linalg.pinv(correlation, rcond=1e-10, hermitian=True) @ own)
+    if 1.0 - explained > 1.0 / LIMITS.correlated**2:
+        return others[:0]
+    order = np.argsort(-np.abs(own), kind="stable")
+    close = np.abs(own[order]) >= (1.0 - LIMITS.named) * np.abs(own).max()
+    return np.asarray(others[order[close][:MOST_NAMED]])
 
 
 def _combinations(

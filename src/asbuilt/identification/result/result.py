@@ -25,6 +25,7 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.calibration.encoders import EncoderPair
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.errors.block_scatter import BlockScatter
 from asbuilt.identification.errors.error_basis import ErrorBasis
@@ -170,6 +171,8 @@ class IdentificationResult:
         Part (p, p) of the covariance by effects that the model lacks; None without one.
     effects
         What the recordings show and the description lacks, in the model or not.
+    encoders
+        What lies between the two encoders of joints that have them.
     """
 
     model: RobotModel
@@ -211,6 +214,7 @@ class IdentificationResult:
     trained: Array | None = None
     bias: Array | None = None
     effects: tuple[FoundEffect, ...] = ()
+    encoders: tuple[EncoderPair, ...] = ()
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -508,7 +512,7 @@ class IdentificationResult:
             *("covariance", "textbook_covariance", "singular_values", "cause_data"),
             *("free", "scatter", "trained", "corrected", "bias"),
         )
-        document = self._document()
+        document = self._document() | {"encoders": [each.as_dict() for each in self.encoders]}
         return {name: value for name, value in document.items() if name not in left_out}
 
     def _document(self) -> dict[str, Any]:

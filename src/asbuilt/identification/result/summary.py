@@ -12,6 +12,7 @@ import numpy as np
 
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.bodies.consistency import non_passive_drives
+from asbuilt.identification.calibration.encoders import encoders_text
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
@@ -63,6 +64,8 @@ class Summary:
         Whether to use the model, in a sentence with its number; empty for a result alone.
     found_effects
         What CAD lacks and the recordings show, in the model or not.
+    encoders
+        What lies between two encoders, in a sentence; empty without them.
     """
 
     title: str
@@ -73,6 +76,7 @@ class Summary:
     notes: tuple[str, ...]
     verdict: str = ""
     found_effects: tuple[FoundEffect, ...] = ()
+    encoders: str = ""
 
     def __str__(self) -> str:
         return self.as_text()
@@ -93,12 +97,13 @@ class Summary:
             Function that writes a cure, for an interface that adds the names of its options.
         """
         if not full:
-            opening = self.verdict or self.title
+            opening = "\n".join(filter(None, (self.verdict or self.title, self.encoders)))
             return screen_text(opening, self.found_effects, self.joints, self.findings, cure_text)
         rule = "-" * WIDTH
         parts = [wrapped(self.verdict), ""] if self.verdict else []
         parts += [wrapped(self.title), *_heading_lines(self.heading)]
         parts += [wrapped(text, f"{label:<14} ") for label, text in self.effects]
+        parts += [wrapped(self.encoders)] if self.encoders else []
         parts += [rule, *finding_lines(self.findings, cure_text)] if self.findings else []
         parts += [rule, self.joints.as_text(full).rstrip("\n")]
         parts += [rule, self.parameters.as_text(full).rstrip("\n"), *numbered(self.notes)]
@@ -185,6 +190,7 @@ def summarise(
         ),
         verdict=verdict,
         found_effects=result.effects,
+        encoders=encoders_text(result.encoders),
     )
 
 

@@ -23,6 +23,7 @@ from asbuilt.identification.errors.position_noise_bias import position_noise_fin
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.as_built_parameters import mass_findings
+from asbuilt.identification.result.determination import spring_findings
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.attribution.attribution import Attribution, attribute
@@ -99,6 +100,7 @@ def conclude_study(
         servo_errors=None if fits.servo is None else fits.servo.errors,
         corrected=("mounting",) if tilts(fits.effects.found) else (),
         effects=named,
+        encoders=fits.encoders,
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
     lacking = fits.effects.lacking
@@ -127,6 +129,7 @@ def conclude_study(
         *_model_findings(fits, result, attribution, options),
         *cad_verdict_findings(validations),
         *mass_findings(result),
+        *spring_findings(result),
     )
     shares = _error_shares((*validations, *trained)[0].metrics_as_built)
     return Conclusion(result, consolidated(findings, shares), trained, validations, attribution)

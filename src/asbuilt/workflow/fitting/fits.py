@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
+import numpy as np
+
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.calibration.encoders import (
+    EncoderPair,
+    identify_encoders,
+    on_link,
+    with_friction_errors,
+)
 from asbuilt.identification.drives.drive_choice import (
     DriveChoice,
     drive_effects,
@@ -20,9 +30,10 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
+from asbuilt.identification.result.torque_prediction import model_torque
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.generalisation.plateaus import Plateau, plateaus, without_plateaus
-from asbuilt.validation.prediction import Validation, predict_both
+from asbuilt.validation.prediction import Validation, friction_torque, predict_both
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.servo import delays_of, with_delay_errors
@@ -58,6 +69,8 @@ class Fits:
         Torques that saturate.
     servo, refined
         The position servo and the refinement, if any.
+    encoders
+        What lies between two encoders of joints that have them.
     """
 
     model: RobotModel
@@ -69,6 +82,7 @@ class Fits:
     plateaus: tuple[Plateau, ...]
     servo: ServoEstimate | None
     refined: Refined | None
+    encoders: tuple[EncoderPair, ...] = ()
 
     @property
     def samples(self) -> tuple[Samples, ...]:
@@ -117,12 +131,78 @@ def fit_study(
         Called with the name of a step and the fraction done.
     """
     given = (options, servo, parts, report)
+    fits = _divided_or_not(model, prepared, *given)
+    if all(each.encoder is None for each in fits.samples):
+        return fits
+    pairs = _encoders(fits, fits.samples)
+    if not any(each.determined for each in pairs):
+        return replace(fits, encoders=pairs)
+    stiff = _divided_or_not(model, _on_link(prepared, pairs, fits.final), *given)
+    if _torque_error(stiff) >= _torque_error(fits):
+        return replace(fits, encoders=pairs)
+    return replace(stiff, encoders=_encoders(stiff, fits.samples))
+
+
+def _torque_error(fits: Fits) -> float:
+    """Return the relative torque error on what was held out, else on what was fitted."""
+    judged = fits.judged(fits.prepared.held_out or fits.prepared.training)
+    return float(np.mean([each.metrics_as_built.relative_error**2 for each in judged]))
+
+
+def _divided_or_not(
+    model: RobotModel,
+    prepared: Prepared,
+    options: StudyOptions,
+    servo: ServoEstimate | None,
+    parts: SimulatedParts,
+    report: Progress,
+) -> Fits:
+    """Fit without what was held out by default, if that leaves enough."""
+    given = (options, servo, parts, report)
     if prepared.whole:
         try:
             return _fitted(model, prepared, *given)
         except IdentifiabilityError:
             prepared = prepared.undivided()
     return _fitted(model, prepared, *given)
+
+
+def _encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
+    """Return what lies between two encoders, by the friction that was identified."""
+    fit, joints = fits.final, fits.final.model.joints
+    taken = [_friction(fit, each) for each in samples]
+    pairs = identify_encoders(samples, [joint.is_revolute for joint in joints], taken)
+    errors = np.sqrt(np.diag(fit.uncertainty.covariance))
+    named = dict(zip(fit.base.names, errors.tolist(), strict=True))
+    numbers = [fit.model.joint_names.index(each.joint) + 1 for each in pairs]
+    viscous, dry = (
+        [max(named.get(f"{symbol}{k}", 0.0) for symbol in symbols) for k in numbers]
+        for symbols in (("Fv",), ("Fc", "Fct"))
+    )
+    return with_friction_errors(pairs, viscous, dry)
+
+
+def _friction(fit: Fit, samples: Samples) -> Array:
+    """Return the friction of the drives as a fit has it, (N, n)."""
+    beta = fit.estimate.beta
+    rigid = model_torque(fit.model, fit.base, beta, samples)[0]
+    return friction_torque(fit.model, fit.base, beta, samples, rigid)
+
+
+def _on_link(prepared: Prepared, pairs: Sequence[EncoderPair], fit: Fit) -> Prepared:
+    """Return samples of the robot with stiff drives."""
+
+    def moved(samples: Sequence[Samples]) -> tuple[Samples, ...]:
+        return tuple(on_link(each, pairs, partial(_friction, fit)) for each in samples)
+
+    return replace(
+        prepared,
+        training=moved(prepared.training),
+        held_out=moved(prepared.held_out),
+        validation=moved(prepared.validation),
+        others=tuple(map(moved, prepared.others)),
+        whole=moved(prepared.whole),
+    )
 
 
 def _fitted(

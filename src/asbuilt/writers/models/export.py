@@ -29,6 +29,7 @@ from asbuilt.writers.models.as_built import (
 )
 from asbuilt.writers.models.c.c_code import write_c
 from asbuilt.writers.models.c.observer_files import write_observer
+from asbuilt.writers.models.elastic_joints import elastic_mjcf, with_rotors_described
 from asbuilt.writers.models.mjcf import write_mjcf
 from asbuilt.writers.models.physical import refuse_inconsistent_result, refuse_poor_nearest_model
 from asbuilt.writers.models.robot_toml import write_robot_toml
@@ -97,6 +98,7 @@ def export_result(
     nearest: bool = False,
     force: bool = False,
     simulators: Mapping[str, Place] | None = None,
+    elastic: bool = False,
 ) -> Export:
     """Write the identified robot into the files named.
 
@@ -121,6 +123,9 @@ def export_result(
         Write the nearest consistent model however large its error.
     simulators
         Files to write by simulator format (`SIMULATOR_FORMATS`), such as `"isaac-lab"`.
+    elastic
+        Write a joint for each motor and one for its link into MJCF, where two encoders determine
+        the stiffness between them.
 
     Returns
     -------
@@ -157,6 +162,12 @@ def export_result(
             "thresholds go with an observer, but no file for it is named",
             cure=Cure("name it", {"observer": "FILE"}),
         )
+    if elastic and mjcf is None:
+        raise UsageError(
+            "elastic joints are written into MJCF, but no such file is named",
+            cure=Cure("name it", {"mjcf": "FILE"}),
+        )
+    result = with_rotors_described(result) if elastic else result
     watching = {} if observer is None else _observer(observer, result, thresholds)
     if all(place is None for place in models) and not formats:
         return Export(result.robot, "the identified parameters", watching, {})
@@ -183,6 +194,9 @@ def export_result(
         notes["urdf"] = (*missing, *said, *kept, *delay_notes(result, "urdf"))
     if mjcf is not None:
         files["mjcf"], said = write_mjcf(mjcf, in_simulators)
+        if elastic:
+            text = elastic_mjcf(files["mjcf"].read_text(encoding="utf-8"), result.encoders)
+            atomic_write(mjcf, text)
         notes["mjcf"] = (*said, *kept, *delay_notes(result, "mjcf"), *held_notes(result.model))
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)

@@ -15,7 +15,12 @@ from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, 
 
 STIFF_FRICTION = ("0.002 1", "0.9999 0.9999 0.001 0.5 2")
 """Reference (two steps of 1 ms) and impedance (the hardest) of dry friction at small speeds."""
-CARRIED = frozenset(("spring", "motor_armature", "motor_viscous", "motor_coulomb"))
+CARRIED = frozenset(
+    (
+        *("spring", "extension_spring", "cylinder"),
+        *("motor_armature", "motor_viscous", "motor_coulomb"),
+    )
+)
 """Drive terms that MJCF holds, beside plain ones and friction written as plain friction."""
 
 
@@ -23,11 +28,12 @@ def exported_mjcf(model: RobotModel) -> str:
     """Return the robot as MJCF, with what MJCF cannot hold in comments.
 
     Armature, viscous and dry friction are the joint's; asymmetric dry friction is symmetric
-    friction and an offset, smooth friction a dry one; a spring is the joint's stiffness; a motor
-    that several joints turn is a fixed tendon with damping, dry friction and armature; an offset is
-    the bias of the joint's actuator, whose control is the torque that the drive has to exert. A
-    joint whose drive has gains gets a position actuator with them, its control the commanded
-    position, and the integrator treats its damping implicitly.
+    friction and an offset, smooth friction a dry one; a torsion spring is the joint's
+    stiffness, a spring or cylinder between two links a spatial tendon with stiffness; a motor
+    that several joints turn is a fixed tendon with damping, dry friction and armature; an
+    offset is the bias of the joint's actuator, whose control is the torque that the drive has
+    to exert. A joint whose drive has gains gets a position actuator with them, its control the
+    commanded position, and the integrator treats its damping implicitly.
     MuJoCo's dry friction grows with speed and acceleration up to its full size; where the joint
     moves faster than `|qdd|` times a millisecond, inverse dynamics holds all of it.
 
@@ -44,8 +50,6 @@ def exported_mjcf(model: RobotModel) -> str:
         element = elements[joint.name]
         if joint.drive.coulomb:
             element.attrib.update(_dry_friction(joint.drive.coulomb))
-        if stiffness := joint.drive.terms.get("spring", {}).get("Ks"):
-            element.attrib.update(stiffness=repr(stiffness), springref="0")
     for motor, joint in zip([*root.iter("motor")], plain.joints, strict=True):
         if joint.drive.kp is not None:
             _as_servo(motor, elements[joint.name], joint)
@@ -146,6 +150,19 @@ def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
             (
                 "smooth Coulomb friction is written as dry friction: equal torques if a joint moves"
                 " faster than its width"
+            ),
+            *notes,
+        )
+    constant = [
+        f"{joint.name} {numbers['Pc']:.6g}"
+        for joint in plain.joints
+        if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("Kc")
+    ]
+    if constant:
+        notes = (
+            (
+                "cylinders of constant force are left out, for a tendon has a force by its"
+                f" stiffness alone (Pc [N]: {', '.join(constant)})"
             ),
             *notes,
         )

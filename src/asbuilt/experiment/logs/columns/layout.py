@@ -24,7 +24,7 @@ from asbuilt.experiment.logs.columns.roles import (
     unit_scale,
 )
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
-from asbuilt.experiment.recording import TorqueSource
+from asbuilt.experiment.recording import ENCODERS, TorqueSource
 from asbuilt.findings import Cure
 
 _QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")
@@ -35,8 +35,6 @@ _SYMBOLS = {
     "tau": "torque",
     "q_command": "command",
 }
-ENCODERS = {"motor": "q_motor", "link": "q_link"}
-"""Positions of a second encoder of each joint, by the side of the drive train that it is on."""
 _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
 
 

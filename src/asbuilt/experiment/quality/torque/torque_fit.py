@@ -14,6 +14,7 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import spring_columns
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
@@ -83,7 +84,7 @@ class TorqueFit:
 
     `motion_of[k]` and `torque_of[k]` are the columns taken for joint k. Measured y_k and predicted
     x_k are the residuals of each after a fit of 1, qd_k and tanh(qd_k / 0.02): offset and friction
-    are taken out of both. `friction` are the `friction_bases` of qd.
+    are taken out of both, and so are described springs. `friction` are the `friction_bases`.
     """
 
     model: RobotModel
@@ -109,7 +110,7 @@ class TorqueFit:
             qd,
             motion.qdd[rows] * scale,
             motion.tau[rows] * torque_scale,
-            friction_bases(qd),
+            friction_bases(qd, spring_columns(model, motion.q[rows] * scale)),
             order,
             order,
         )
@@ -223,10 +224,20 @@ class TorqueFit:
                 yield replace(self, motion_of=motion_of)
 
 
-def friction_bases(qd: Array) -> Array:
-    """Return orthonormal bases (n, N, 3) of 1, qd_k and tanh(qd_k / 0.02) for velocities (N, n)."""
+def friction_bases(qd: Array, springs: Array) -> Array:
+    """Return orthonormal bases (n, N, 3 + m) of friction and of the columns of springs (n, N, m).
+
+    Friction is 1, qd_k and tanh(qd_k / 0.02) for velocities (N, n); dependent columns are zero.
+    """
     terms = np.stack([np.ones_like(qd), qd, np.tanh(qd / BREAKAWAY)], axis=-1)
-    return np.asarray(np.linalg.qr(terms.swapaxes(0, 1))[0])
+    friction = np.linalg.qr(terms.swapaxes(0, 1))[0]
+    if not springs.size:
+        return np.asarray(friction)
+    rest = springs - friction @ (friction.swapaxes(1, 2) @ springs)
+    bases, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+    whole = np.linalg.norm(springs, axis=(1, 2))[:, None]
+    # Share of the columns' size below which what is left of them is rounding.
+    return np.concatenate([friction, bases * (sizes > 1e-9 * whole)[:, None, :]], axis=2)
 
 
 def best_assignment(fit: TorqueFit) -> TorqueFit:

@@ -1,0 +1,348 @@
+"""Elastic drives by two encoders: what lies between motor and link, from their difference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.experiment.quality.torque.torque_fit import BREAKAWAY
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.tables import plus_minus
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderRules:
+    """Hold when what lies between two encoders is determined: own choices."""
+
+    apart: float = 0.05
+    """Difference of the encoders, relative to the range of the motor, beyond which they belong to
+    different coordinates, as in a coupled wrist."""
+    blocks: int = 20
+    """Time blocks from whose jackknife errors follow."""
+    sure: float = 4.0
+    """Standard errors from which a compliance counts as determined."""
+    better: float = 0.8
+    """Share of what is left of the difference from which another form of friction is better."""
+    shown: float = 3.0
+    """Standard errors from which damping, rotor and hysteresis are told from none."""
+
+
+RULES = EncoderRules()
+PASSES = 3
+"""Times that the lag is found and taken out."""
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderPair:
+    """Hold what lies between the motor's encoder of a joint and the link's, with standard errors.
+
+    Parameters
+    ----------
+    joint
+        Name of the joint.
+    lag, lag_error
+        Time by which the link's encoder is late [s].
+    compliance, compliance_error
+        Twist per torque [rad/(N m) or m/N].
+    relaxation, relaxation_error
+        Damping over stiffness [s].
+    rotor, rotor_error
+        Inertia of the motor at the joint [kg m^2 or kg]; None where the torque is the link's, or
+        where the stiffness is not determined.
+    hysteresis, hysteresis_error
+        Difference of the encoders that reverses with the motion, from one direction to the other
+        [rad or m].
+    zero
+        Difference of the zero positions of both encoders [rad or m].
+    rest
+        RMS of the difference beyond all these [rad or m].
+    revolute
+        Whether the joint turns.
+    """
+
+    joint: str
+    lag: float
+    lag_error: float
+    compliance: float
+    compliance_error: float
+    relaxation: float
+    relaxation_error: float
+    rotor: float | None
+    rotor_error: float | None
+    hysteresis: float
+    hysteresis_error: float
+    zero: float
+    rest: float
+    revolute: bool = True
+
+    @property
+    def determined(self) -> bool:
+        """Whether the stiffness is."""
+        return self.compliance > RULES.sure * self.compliance_error
+
+    @property
+    def stiffness(self) -> tuple[float, float] | None:
+        """Stiffness and its standard error [N m/rad or N/m]; None if it is not determined."""
+        if not self.determined:
+            return None
+        return 1.0 / self.compliance, self.compliance_error / self.compliance**2
+
+    @property
+    def damping(self) -> tuple[float, float] | None:
+        """Damping and its standard error [N m s/rad or N s/m]; None if it does not show."""
+        if self.stiffness is None or self.relaxation < RULES.shown * self.relaxation_error:
+            return None
+        return self.relaxation * self.stiffness[0], self.relaxation_error * self.stiffness[0]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers by name; None for what is not determined."""
+        stiffness, damping = (each or (None, None) for each in (self.stiffness, self.damping))
+        return {
+            "joint": self.joint,
+            "lag": self.lag,
+            "lag_error": self.lag_error,
+            "stiffness": stiffness[0],
+            "stiffness_error": stiffness[1],
+            "damping": damping[0],
+            "damping_error": damping[1],
+            "rotor": self.rotor,
+            "rotor_error": self.rotor_error,
+            "hysteresis": self.hysteresis,
+            "hysteresis_error": self.hysteresis_error,
+            "rest": self.rest,
+        }
+
+    @property
+    def text(self) -> str:
+        """Lag and stiffness as text."""
+        unit = "N m/rad" if self.revolute else "N/m"
+        lag = f"lag {plus_minus(1e3 * self.lag, 1e3 * self.lag_error)} ms"
+        if self.stiffness is None:
+            return f"{self.joint} {lag}, stiffness not determined"
+        return f"{self.joint} {lag}, stiffness {plus_minus(*self.stiffness)} {unit}"
+
+
+def identify_encoders(
+    samples: Sequence[Samples],
+    revolute: Sequence[bool],
+    friction: Sequence[Array] | None = None,
+) -> tuple[EncoderPair, ...]:
+    """Identify lag, compliance, damping, rotor and hysteresis between two encoders of each joint.
+
+    The spring carries the torque of the motor less what it takes itself, `s = tau - I theta'' -
+    friction`, and the encoders differ by
+
+        theta - q = c s - (D / K) (theta - q)' + lag q' + h/2 sign(theta') + a theta + b,
+
+    c = 1 / K, linear in all that is unknown, c I included. Errors are those of the jackknife over
+    time blocks (Miller, Biometrika 61, 1974), which allow for correlated residuals.
+
+    Parameters
+    ----------
+    samples
+        Samples with a second encoder; others are left out.
+    revolute
+        Which of the n joints turn.
+    friction
+        Friction of the drives of each of the samples (N, n) [N m or N], taken from their torque; by
+        default none. Without it viscous and dry friction over the stiffness are part of lag and
+        hysteresis.
+
+    Returns
+    -------
+    tuple of EncoderPair
+        One for each joint whose two encoders measure the same coordinate.
+    """
+    given = [each for each in samples if each.encoder is not None]
+    if not given:
+        return ()
+    taken = [
+        np.zeros_like(each.q) if friction is None else friction[k]
+        for k, each in enumerate(samples)
+        if each.encoder is not None
+    ]
+    found = []
+    for k, name in enumerate(given[0].joint_names):
+        if all(_is_pair(each, k) for each in given):
+            sensor, pair = given[0].torque_source == "sensor", None
+            # The first time finds the lag, in which the columns are linear only where it is short.
+            for _ in range(PASSES):
+                late = 0.0 if pair is None else pair.lag
+                parts = zip(given, taken, strict=True)
+                rows = np.concatenate([_rows(each, k, f[:, k], late) for each, f in parts])
+                forms = (rows[:, 0] - f for f in (rows[:, 1], _plain_friction(rows)))
+                pair = _closer(
+                    *(_pair(name, np.c_[s, rows[:, 2:]], sensor, revolute[k]) for s in forms)
+                )
+                pair = replace(pair, lag=pair.lag + late)
+            assert pair is not None
+            found.append(pair)
+    return tuple(found)
+
+
+def encoders_text(pairs: Sequence[EncoderPair]) -> str:
+    """Return lags and stiffness of all joints in a sentence; empty without two encoders."""
+    return f"Two encoders: {'; '.join(each.text for each in pairs)}." if pairs else ""
+
+
+def on_link(
+    samples: Samples, pairs: Sequence[EncoderPair], friction: Callable[[Samples], Array]
+) -> Samples:
+    """Return samples of the robot as it were with stiff drives, at the position of the links.
+
+    At joints whose stiffness is determined the links move by their own encoder, its lag taken out,
+    and the torque is that which moves the rotor with the link: `tau - I (theta - q)'' - (f(theta')
+    - f(q'))`, f the friction (N, n) of the drives.
+    """
+    if samples.encoder is None:
+        return samples
+    q, qd, qdd, tau = (x.copy() for x in (samples.q, samples.qd, samples.qdd, samples.tau))
+    for pair in pairs:
+        k = samples.joint_names.index(pair.joint)
+        if not pair.determined:
+            continue
+        motor, link = _sides(samples, k, pair.lag)
+        q[:, k], qd[:, k], qdd[:, k] = link[0] + pair.zero, link[1], link[2]
+        if pair.rotor is not None:
+            tau[:, k] -= pair.rotor * (motor[2] - link[2])
+    moved = replace(samples, q=q, qd=qd, qdd=qdd, tau=tau)
+    if samples.torque_source == "sensor":
+        return moved
+    return replace(moved, tau=tau - friction(samples) + friction(moved))
+
+
+def with_friction_errors(
+    pairs: Sequence[EncoderPair], viscous: Sequence[float], dry: Sequence[float]
+) -> tuple[EncoderPair, ...]:
+    """Return lag and hysteresis with what errors of friction (n,) over the stiffness add."""
+    return tuple(
+        replace(
+            each,
+            lag_error=float(np.hypot(each.lag_error, each.compliance * Fv)),
+            hysteresis_error=float(np.hypot(each.hysteresis_error, 2.0 * each.compliance * Fc)),
+        )
+        for each, Fv, Fc in zip(pairs, viscous, dry, strict=True)
+    )
+
+
+def _is_pair(samples: Samples, k: int) -> bool:
+    """Return whether both encoders of a joint move together."""
+    assert samples.encoder is not None
+    motor, link = _sides(samples, k)
+    wide, apart = float(np.ptp(motor[0])), float(np.std(motor[0] - link[0]))
+    return wide > 0.0 and apart < RULES.apart * wide
+
+
+def _sides(samples: Samples, k: int, lag: float = 0.0) -> tuple[Array, Array]:
+    """Return the motion of motor and link (3, N), in one direction.
+
+    The link's is put forward by a lag [s].
+    """
+    assert samples.encoder is not None
+    first, second = (
+        np.stack([x[:, k] for x in (samples.q, samples.qd, samples.qdd)]),
+        samples.encoder[:, :, k],
+    )
+    sign = -1.0 if float(first[1] @ second[1]) < 0.0 else 1.0
+    sides = first, sign * second
+    motor, link = sides if samples.encoder_at == "link" else sides[::-1]
+    if lag:
+        jerk = np.concatenate(
+            [np.gradient(link[2, a:b], 1.0 / samples.rate) for a, b in samples.segments]
+        )
+        ahead = np.stack([link[1] + 0.5 * lag * link[2], link[2], jerk])
+        link = link + lag * ahead
+    return motor, link
+
+
+def _rows(samples: Samples, k: int, friction: Array, lag: float) -> Array:
+    """Return torque, friction, columns and, last, the difference of the encoders, filtered, (M, 9).
+
+    The link's is put forward by a lag [s].
+    """
+    motor, link = _sides(samples, k, lag)
+    apart = motor - link
+    columns = (
+        samples.tau[:, k],
+        friction,
+        motor[2],
+        apart[1],
+        link[1],
+        np.tanh(motor[1] / BREAKAWAY),
+        motor[0],
+        np.ones(samples.n_samples),
+        apart[0],
+    )
+    return samples.filtered(np.stack(columns, axis=1))
+
+
+def _closer(identified: EncoderPair, plain: EncoderPair) -> EncoderPair:
+    """Return the pair by plain friction where that identified is of a form that the drive lacks.
+
+    Such does harm where the motion reverses; lag and hysteresis are then as sure as both agree.
+    """
+    if plain.rest > RULES.better * identified.rest:
+        return identified
+    return replace(
+        plain,
+        lag_error=float(np.hypot(plain.lag_error, plain.lag - identified.lag)),
+        hysteresis_error=float(
+            np.hypot(plain.hysteresis_error, plain.hysteresis - identified.hysteresis)
+        ),
+    )
+
+
+def _plain_friction(rows: Array) -> Array:
+    """Return the part of friction that is viscous, dry and constant, (M,)."""
+    plain = rows[:, [4, 5, 7]]
+    return np.asarray(plain @ np.linalg.lstsq(plain, rows[:, 1], rcond=None)[0])
+
+
+def _pair(name: str, rows: Array, sensor: bool, revolute: bool) -> EncoderPair:
+    """Return what the rows of a joint say."""
+    used = np.array([True, not sensor, True, True, True, True, True])
+    scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), np.finfo(float).tiny)
+    squares = [part.T @ part for part in np.array_split(rows / scale, RULES.blocks) if len(part)]
+    whole = reduce(np.add, squares)
+
+    def coefficients(normal: Array) -> Array:
+        values = np.zeros(len(used))
+        inner, right = normal[:-1, :-1][np.ix_(used, used)], normal[:-1, -1][used]
+        values[used] = np.linalg.lstsq(inner, right, rcond=1e-12)[0]
+        return np.asarray(values * scale[-1] / scale[:-1])
+
+    value = _physical(coefficients(whole))
+    parts = np.array([_physical(coefficients(whole - each)) for each in squares])
+    error = np.sqrt((len(parts) - 1) * np.mean((parts - parts.mean(axis=0)) ** 2, axis=0))
+    raw = coefficients(whole)
+    left = rows[:, -1] - rows[:, :-1] @ raw
+    (lag, c, relaxation, rotor, play), errors = value.tolist(), error.tolist()
+    known = not sensor and c > RULES.sure * errors[1]
+    return EncoderPair(
+        joint=name,
+        lag=lag,
+        lag_error=errors[0],
+        compliance=c,
+        compliance_error=errors[1],
+        relaxation=relaxation,
+        relaxation_error=errors[2],
+        rotor=rotor if known else None,
+        rotor_error=errors[3] if known else None,
+        hysteresis=play,
+        hysteresis_error=errors[4],
+        zero=float(np.mean(rows[:, 5:7], axis=0) @ raw[-2:]),
+        rest=float(np.sqrt(np.mean(left**2))),
+        revolute=revolute,
+    )
+
+
+def _physical(values: Array) -> Array:
+    """Return lag, compliance, damping over stiffness, rotor and hysteresis of coefficients (7,)."""
+    c = values[0]
+    rotor = -values[1] / c if c else 0.0
+    return np.array([values[3], c, -values[2], rotor, 2.0 * values[4]])
