@@ -139,6 +139,9 @@ def predict_both(
     """
     rigid, torque = model_torque(model, base, estimates, samples)
     as_built = beside_measured(model, samples, torque)
+    del torque  # as long as the recording
+    drive = samples.filtered(_drive_torque(model, base, estimates, samples, rigid))
+    del rigid
     by_design = beside_measured(
         model, samples, model_torque(model, base, np.nan_to_num(design, nan=0.0), samples)[1]
     )
@@ -156,7 +159,7 @@ def predict_both(
         measured=as_built.measured,
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
-        drive=samples.filtered(_drive_torque(model, base, estimates, samples, rigid)),
+        drive=drive,
         metrics_as_built=as_built.metrics(),
         metrics_cad=by_design.metrics(),
     )
@@ -180,9 +183,11 @@ def _described(model: RobotModel, samples: Samples) -> Prediction:
             f" {model.name} has {', '.join(model.joint_names)}"
         )
     drive, values = described_drive(model)
-    state = (samples.q, samples.qd, samples.qdd)
-    load = inverse_dynamics(model, *state)
-    torque = load + drive_torque(drive, values, *state, load=load, shares=model.motor_shares)
+    torque, shares = np.zeros(samples.q.shape), model.motor_shares
+    for span in samples.spans():
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        load = inverse_dynamics(model, *state)
+        torque[span] = load + drive_torque(drive, values, *state, load=load, shares=shares)
     return beside_measured(model, samples, torque)
 
 
@@ -244,7 +249,9 @@ def _drive_torque(
     own = base.drive.without("armature", "motor_armature", *springs)
     identified = dict(zip(base.names, estimates.tolist(), strict=True))
     values = [identified.get(name, 0.0) for k in range(model.n_joints) for name in own.names(k + 1)]
-    state = (samples.q, samples.qd, samples.qdd)
-    return drive_torque(
-        own, values, *state, load=rigid if own.needs_load else None, shares=model.motor_shares
-    )
+    torque, shares = np.zeros(samples.q.shape), model.motor_shares
+    for span in samples.spans():
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        load = rigid[span] if own.needs_load else None
+        torque[span] = drive_torque(own, values, *state, load=load, shares=shares)
+    return torque

@@ -19,7 +19,6 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.errors.common_growth import BlockScores
-from asbuilt.identification.errors.leverage import TINY
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, scatter_of, unit_variance
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import motions_of
@@ -113,7 +112,9 @@ class DelayColumns:
         moved, whole = self._known @ A.sum(axis=0), D.sum(axis=0)
         left = whole - moved.T @ self.grams.sum(axis=0) @ moved
         # Squared part of a delay's column outside all others below which it is undetermined.
-        free = np.flatnonzero(np.diag(left) > 1e-9 * np.maximum(np.diag(whole), TINY))
+        free = np.flatnonzero(
+            np.diag(left) > 1e-9 * np.maximum(np.diag(whole), np.finfo(np.float64).tiny)
+        )
         A, D, of_delay, moved = (
             A[..., free],
             D[:, free][..., free],

@@ -11,11 +11,12 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.errors.block_scatter import BlockScatter, widening
 from asbuilt.identification.errors.common_growth import BlockScores, CommonGrowth, common_growth
 from asbuilt.identification.errors.error_basis import ErrorBasis, ErrorKind
-from asbuilt.identification.errors.leverage import MOST_LEVERAGE
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
+MOST_LEVERAGE = 0.999
+"""Largest share of the information on a direction that one block is taken to have."""
 FEWEST_BLOCKS = 8
 """Blocks below which their scatter gives no usable variance."""
 

@@ -82,9 +82,10 @@ def model_torque(
     *,
     added: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Return the torque of the rigid bodies and of the whole model, both (N, n), at every sample.
+    """Return the torque of the rigid bodies and of the whole model, both (N, n).
 
-    `added` (10 n,) are link parameters that come on top, such as those of a payload.
+    Both are 0 between segments. `added` (10 n,) are link parameters that come on top, such as those
+    of a payload.
 
     Raises
     ------
@@ -99,8 +100,11 @@ def model_torque(
             expected=model.joint_names,
             joints=samples.joint_names,
         )
-    state = (samples.q, samples.qd, samples.qdd)
-    return parameter_torque(model, base.drive, chi, *state, added=added)
+    rigid, torque = np.zeros((2, *samples.q.shape))
+    for span in samples.spans():
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        rigid[span], torque[span] = parameter_torque(model, base.drive, chi, *state, added=added)
+    return rigid, torque
 
 
 def parameter_torque(
@@ -139,14 +143,13 @@ def beside_measured(model: RobotModel, samples: Samples, torque: Array) -> Predi
             for each in (samples.tau, samples.tau_raw, torque)
         )
         samples = replace(samples, tau=tau, tau_raw=raw)
-    recorded = replace(samples, tau=samples.tau_raw, parallel=None)
-    error = recorded.filtered_torque - recorded.filtered(torque)
+    error = samples.in_segments(samples.tau_raw) - samples.in_segments(torque)
     measured = np.where(samples.has_torque, 1.0, np.nan)
     return Prediction(
         samples.filtered_times,
         measured * samples.filtered_torque,
         samples.filtered(torque),
-        measured * np.sqrt(np.mean(error**2, axis=0)),
+        measured * np.sqrt(np.mean(np.square(error, out=error), axis=0)),
         samples.joint_names,
         samples.source,
     )
