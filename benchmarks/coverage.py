@@ -97,6 +97,7 @@ STUDIES_OF_CALIBRATIONS = (
     ("delay", Setting("two-link", 20.0)),
     ("delay", Setting("ur10e", 10.0, rate=125.0)),
     ("delay", Setting("ur10e", 40.0, rate=500.0, counts=2.0**13)),
+    ("delay", Setting("ur10e", 10.0, noise=0.3, correlation_time=0.5)),
     ("delay", Setting("kuka-iiwa7-r800", 20.0, noise=0.3, correlation_time=0.5)),
 )
 PARTS = ("noise", "bodies", "lacking", "calibrations")

@@ -202,7 +202,7 @@ def _return_freed_memory() -> None:
 
     Else it keeps room for the largest so far, in pieces that the next do not fit.
     """
-    largest_kept, setting = 4 << 20, -3  # bytes; M_MMAP_THRESHOLD
+    largest_kept, setting = 1 << 20, -3  # bytes; M_MMAP_THRESHOLD
     with contextlib.suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(setting, largest_kept)
 

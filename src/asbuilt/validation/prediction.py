@@ -19,7 +19,8 @@ from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
     beside_measured,
-    model_torque,
+    predict_torque,
+    torque_in_spans,
 )
 from asbuilt.validation.residuals import (
     ResidualAnalysis,
@@ -137,14 +138,8 @@ def predict_both(
 
     `cad` is the description of the design, None: `model`.
     """
-    rigid, torque = model_torque(model, base, estimates, samples)
-    as_built = beside_measured(model, samples, torque)
-    del torque  # as long as the recording
-    drive = samples.filtered(_drive_torque(model, base, estimates, samples, rigid))
-    del rigid
-    by_design = beside_measured(
-        model, samples, model_torque(model, base, np.nan_to_num(design, nan=0.0), samples)[1]
-    )
+    as_built = predict_torque(model, base, estimates, samples)
+    by_design = predict_torque(model, base, np.nan_to_num(design, nan=0.0), samples)
     described = model if cad is None else cad
     if not described.drives_by_design:
         # Damping and friction of a URDF or MJCF may be a simulator's; where they help they count.
@@ -159,7 +154,7 @@ def predict_both(
         measured=as_built.measured,
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
-        drive=drive,
+        drive=samples.filtered(_drive_torque(model, base, estimates, samples)),
         metrics_as_built=as_built.metrics(),
         metrics_cad=by_design.metrics(),
     )
@@ -239,7 +234,7 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
 
 
 def _drive_torque(
-    model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples, rigid: Array
+    model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples
 ) -> Array:
     """Return the torque (N, n) of the identified drive terms other than armature and springs.
 
@@ -250,8 +245,8 @@ def _drive_torque(
     identified = dict(zip(base.names, estimates.tolist(), strict=True))
     values = [identified.get(name, 0.0) for k in range(model.n_joints) for name in own.names(k + 1)]
     torque, shares = np.zeros(samples.q.shape), model.motor_shares
-    for span in samples.spans():
+    for span, rigid, _ in torque_in_spans(model, base, estimates, samples):
         state = samples.q[span], samples.qd[span], samples.qdd[span]
-        load = rigid[span] if own.needs_load else None
+        load = rigid if own.needs_load else None
         torque[span] = drive_torque(own, values, *state, load=load, shares=shares)
     return torque

@@ -23,7 +23,7 @@ from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, scatter_of,
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import motions_of
 from asbuilt.identification.information.rows import TimeBlock, sample_blocks
-from asbuilt.identification.result.torque_prediction import model_torque
+from asbuilt.identification.result.torque_prediction import torque_in_spans
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -266,7 +266,9 @@ def _torque_rates(
     model: RobotModel, base: BaseParameters, beta: Array, samples: Samples
 ) -> Callable[[slice], list[Array]]:
     """Return what gives the rates of torque and friction [N m/s], each (L, n), on a span."""
-    rigid, torque = model_torque(model, base, beta, samples)
+    rigid, torque = np.zeros((2, *samples.q.shape))
+    for span, *parts in torque_in_spans(model, base, beta, samples):
+        rigid[span], torque[span] = parts
     rates = np.zeros((2, *torque.shape))
     for a, b in samples.segments:
         if b - a > 1:

@@ -64,8 +64,8 @@ def random_positions(model: RobotModel, rng: np.random.Generator) -> Array:
 def recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
     """Return the standard deviations of velocities and accelerations of samples, each (n,)."""
     count, sums = 0, np.zeros(0)
-    for batch in samples:
-        rates = [batch.in_segments(x) for x in (batch.qd, batch.qdd)]
+    for batch, span in ((each, span) for each in samples for span in each.spans()):
+        rates = (batch.qd[span], batch.qdd[span])
         found = np.vstack(
             [
                 np.concatenate([rate.sum(axis=0) for rate in rates]),
