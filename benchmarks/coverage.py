@@ -3,7 +3,8 @@
 200 virtual recordings of each robot, torque noise of several colours; of real bodies 100, some near
 what is possible. Then 20 of each of three robots whose torque Pinocchio or MuJoCo computes, where
 the model is right and where it lacks something (`lacking.py`). There either it is named, or
-intervals hold 93 %.
+intervals hold 93 %. Gains of drives and delays of the torque have truth by the same engines
+(`calibrations.py`).
 
     python benchmarks/coverage.py [PART...] [--workers N | --scheduler tcp://...]
     python benchmarks/coverage.py lacking --only ur10e,elastic --engine mujoco --repetitions 4
@@ -42,6 +43,7 @@ from asbuilt.identification.information.square_root_information import (
     accumulate,
 )
 from asbuilt.identification.result.design_values import design_values
+from calibrations import Setting, delay_errors, gain_errors
 from lacking import LACKING, ROBOTS, trials
 from outside_robot import Engine
 
@@ -86,7 +88,19 @@ SPREAD = 0.25
 """Spread of the logarithm of the other eigenvalues: how far CAD is off."""
 SMALL_FRICTION = 0.03
 REPETITIONS_WHERE_LACKING = 20
-PARTS = ("noise", "bodies", "lacking")
+CALIBRATIONS = {"gain": gain_errors, "delay": delay_errors}
+REPETITIONS_OF_CALIBRATIONS = 40
+STUDIES_OF_CALIBRATIONS = (
+    ("gain", Setting("ur10e", 20.0)),
+    ("gain", Setting("kuka-iiwa7-r800", 30.0, noise=0.3, correlation_time=0.5)),
+    ("gain", Setting("franka-panda", 60.0, rate=1000.0, counts=2.0**14)),
+    ("delay", Setting("two-link", 20.0)),
+    ("delay", Setting("ur10e", 10.0, rate=125.0)),
+    ("delay", Setting("ur10e", 40.0, rate=500.0, counts=2.0**13)),
+    ("delay", Setting("ur10e", 10.0, noise=0.3, correlation_time=0.5)),
+    ("delay", Setting("kuka-iiwa7-r800", 20.0, noise=0.3, correlation_time=0.5)),
+)
+PARTS = ("noise", "bodies", "lacking", "calibrations")
 
 
 def recordings(
@@ -243,6 +257,20 @@ def coverage_where_lacking(
     }
 
 
+def coverage_of_calibrations(
+    what: str, setting: Setting, repetitions: int, engine: Engine
+) -> dict[str, float]:
+    """Return the share of 95 % intervals that hold the truth, and the RMS error in them."""
+    pairs = CALIBRATIONS[what](setting, repetitions, engine)
+    z = np.concatenate([error / std_error for error, std_error in pairs])
+    known = z[np.isfinite(z)]
+    return {
+        "": float(np.mean(np.abs(known) < NORMAL_95)),
+        "_rms_of_standard_errors": float(np.sqrt(np.mean(known**2))),
+        "_determined": known.size / z.size,
+    }
+
+
 def measure(
     repetitions: int | None = None,
     parts: Sequence[str] = PARTS,
@@ -261,6 +289,7 @@ def measure(
             for robot in chosen(ROBOTS, only)
             for what in chosen(LACKING, only)
         ],
+        "calibrations": [(*each, engine) for each in STUDIES_OF_CALIBRATIONS],
     }
     tasks = [(part, study) for part in PARTS if part in parts for study in studies[part]]
     found: dict[int, dict[str, float]] = {}
@@ -300,6 +329,12 @@ def _measured(task: tuple[int, int | None, str, tuple[Any, ...]]) -> dict[str, f
             edge,
             repetitions or REPETITIONS_OF_BODIES,
             pulled=pulled,
+        )
+    elif part == "calibrations":
+        what, setting, engine = study
+        name = f"{what}_{setting.name}"
+        shares = coverage_of_calibrations(
+            what, setting, repetitions or REPETITIONS_OF_CALIBRATIONS, engine
         )
     else:
         robot, lacking, engine = study

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import difflib
 import errno
 import inspect
@@ -188,11 +189,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 data or robot do not allow it, 2 wrong usage."""
     for setting in BLAS_THREADS:
         os.environ.setdefault(setting, "1")
+    _return_freed_memory()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     given = [*(sys.argv[1:] if arguments is None else arguments)]
     sys.exit(_flushed(_status(given)))
+
+
+def _return_freed_memory() -> None:
+    """Let the system have large arrays back when they are freed, where the C library is glibc.
+
+    Else it keeps room for the largest so far, in pieces that the next do not fit.
+    """
+    largest_kept, setting = 1 << 20, -3  # bytes; M_MMAP_THRESHOLD
+    with contextlib.suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(setting, largest_kept)
 
 
 def _flushed(status: int) -> int:

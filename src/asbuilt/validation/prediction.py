@@ -19,7 +19,8 @@ from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
     beside_measured,
-    model_torque,
+    predict_torque,
+    torque_in_spans,
 )
 from asbuilt.validation.residuals import (
     ResidualAnalysis,
@@ -137,11 +138,8 @@ def predict_both(
 
     `cad` is the description of the design, None: `model`.
     """
-    rigid, torque = model_torque(model, base, estimates, samples)
-    as_built = beside_measured(model, samples, torque)
-    by_design = beside_measured(
-        model, samples, model_torque(model, base, np.nan_to_num(design, nan=0.0), samples)[1]
-    )
+    as_built = predict_torque(model, base, estimates, samples)
+    by_design = predict_torque(model, base, np.nan_to_num(design, nan=0.0), samples)
     described = model if cad is None else cad
     if not described.drives_by_design:
         # Damping and friction of a URDF or MJCF may be a simulator's; where they help they count.
@@ -156,7 +154,7 @@ def predict_both(
         measured=as_built.measured,
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
-        drive=samples.filtered(friction_torque(model, base, estimates, samples, rigid)),
+        drive=samples.filtered(friction_torque(model, base, estimates, samples)),
         metrics_as_built=as_built.metrics(),
         metrics_cad=by_design.metrics(),
     )
@@ -180,9 +178,11 @@ def _described(model: RobotModel, samples: Samples) -> Prediction:
             f" {model.name} has {', '.join(model.joint_names)}"
         )
     drive, values = described_drive(model)
-    state = (samples.q, samples.qd, samples.qdd)
-    load = inverse_dynamics(model, *state)
-    torque = load + drive_torque(drive, values, *state, load=load, shares=model.motor_shares)
+    torque, shares = np.zeros(samples.q.shape), model.motor_shares
+    for span in samples.spans():
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        load = inverse_dynamics(model, *state)
+        torque[span] = load + drive_torque(drive, values, *state, load=load, shares=shares)
     return beside_measured(model, samples, torque)
 
 
@@ -234,7 +234,7 @@ def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
 
 
 def friction_torque(
-    model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples, rigid: Array
+    model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples
 ) -> Array:
     """Return the torque (N, n) of the identified drive terms other than armature and springs.
 
@@ -244,7 +244,9 @@ def friction_torque(
     own = base.drive.without("armature", "motor_armature", *springs)
     identified = dict(zip(base.names, estimates.tolist(), strict=True))
     values = [identified.get(name, 0.0) for k in range(model.n_joints) for name in own.names(k + 1)]
-    state = (samples.q, samples.qd, samples.qdd)
-    return drive_torque(
-        own, values, *state, load=rigid if own.needs_load else None, shares=model.motor_shares
-    )
+    torque, shares = np.zeros(samples.q.shape), model.motor_shares
+    for span, rigid, _ in torque_in_spans(model, base, estimates, samples):
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        load = rigid if own.needs_load else None
+        torque[span] = drive_torque(own, values, *state, load=load, shares=shares)
+    return torque

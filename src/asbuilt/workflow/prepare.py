@@ -211,12 +211,12 @@ def _chosen_by(recordings: Sequence[Recorded]) -> list[Recording]:
 
 
 def _parts(
-    whole: Sequence[Samples], holdout: str | None
+    whole: Sequence[Samples], holdout: str | None, *, shared: bool = False
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
     """Divide samples into training and held-out ones."""
     if holdout is None:
         return tuple(whole), ()
-    parts = [hold_out(each, holdout) for each in whole]
+    parts = [hold_out(each, holdout, shared=shared) for each in whole]
     return (
         tuple(training for training, _ in parts),
         tuple(replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts),
@@ -230,7 +230,7 @@ def _parts_with_enough(
     if holdout is None:
         return None
     try:
-        parts = _parts(whole, holdout)
+        parts = _parts(whole, holdout, shared=True)
     except RecordingError:
         return None
     enough = min(part.n_filtered for side in parts for part in side) >= FEWEST

@@ -243,6 +243,7 @@ def identify(
     parts, horizons = SimulatedParts(), options.rollout or _horizons_of_verdict(servo)
     if options.refine or horizons:
         parts = simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
+    del filters  # motions of whole recordings
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)

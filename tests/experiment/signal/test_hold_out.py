@@ -109,3 +109,19 @@ def test_selections_keep_segments_apart():
         samples.select(np.ones(3, bool))
     with pytest.raises(RecordingError, match="ordered index ranges"):
         made(1.0, segments=((0, 50), (40, 100)))
+
+
+def test_shared_parts_are_segments_of_one_memory_with_the_same_filtered_torques():
+    whole = made(parallel=design_parallel_filter(4.0, 100.0, 5), segments=((0, 2300), (2400, 6000)))
+    for own, shared in zip(
+        hold_out(whole, "blocks:5s:3"), hold_out(whole, "blocks:5s:3", shared=True), strict=True
+    ):
+        assert np.shares_memory(shared.q, whole.q)
+        assert not np.shares_memory(own.q, whole.q)
+        np.testing.assert_array_equal(shared.filtered_torque, own.filtered_torque)
+        np.testing.assert_array_equal(shared.filtered_times, own.filtered_times)
+        np.testing.assert_array_equal(shared.compact().tau, own.tau)
+        np.testing.assert_array_equal(shared.in_segments(shared.t), own.t)
+        assert shared.duration == own.duration
+        spans = list(shared.spans())
+        assert sum(span.stop - span.start for span in spans) == own.n_samples

@@ -13,9 +13,11 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.errors.common_growth import BlockScores
+from asbuilt.identification.errors.uncertainty import block_uncertainty, scatter_of
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import different_motions
+from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
@@ -139,3 +141,31 @@ def test_what_repetitions_share_is_told_from_noise() -> None:
         shared.append(block_uncertainty(information, estimate).shared)
     assert 1.5 < shared[0] < 3.0
     assert 1.0 <= shared[1] < 1.1
+
+
+def test_variances_allow_for_nuisance_that_absorbs_lasting_residuals() -> None:
+    """One unknown beside twelve others: ten blocks of a second, noise that lasts a third of one.
+
+    The scatter of its own projected score alone is too small: the others absorb the residual too.
+    """
+    rng, n, p, blocks = np.random.default_rng(3), 500, 13, 10
+    t = np.arange(n) / 50.0
+    columns = [np.sin(2.0 * np.pi * f * t + rng.uniform(0, 6)) for f in rng.uniform(0.1, 2.0, p)]
+    A = np.column_stack(columns)
+    root = np.linalg.inv(np.linalg.cholesky(A.T @ A)).T
+    cut = np.split(np.arange(n), blocks)
+    grams = np.array([(A[rows] @ root).T @ (A[rows] @ root) for rows in cut])
+    times = [TimeBlock("log", t[rows[0]], t[rows[-1]], len(rows)) for rows in cut]
+    alone, whole = [], []
+    for _ in range(400):
+        white = rng.normal(size=n + 100)
+        noise = lfilter([0.35], [1.0, -0.94], white)[100:]
+        error = noise - A @ root @ (root.T @ (A.T @ noise))
+        scores = np.array([(A[rows] @ root).T @ error[rows] for rows in cut])
+        data = BlockScores(grams, scores, times, [np.arange(blocks)], n, float(error @ error) / n)
+        off = float((root @ (root.T @ (A.T @ noise)))[-1])
+        whole.append(abs(off) < 1.96 * np.sqrt(scatter_of(data, root[-1:]).variance[0]))
+        own = float(np.sum((scores @ root[-1]) ** 2)) * blocks / (blocks - 1)
+        alone.append(abs(off) < 1.96 * np.sqrt(own))
+    assert np.mean(alone) < 0.9
+    assert 0.93 < np.mean(whole) < 1.0

@@ -80,7 +80,7 @@ def usual_rule(seconds: float) -> str | None:
     return f"blocks:{min(USUAL_BLOCK, np.floor(10.0 * seconds / 6.0) / 10.0):g}s:3"
 
 
-def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
+def hold_out(samples: Samples, rule: str, *, shared: bool = False) -> tuple[Samples, Samples]:
     """Divide samples into training and held-out ones.
 
     Time counts from the beginning of the recording, so the division does not depend on what the
@@ -93,6 +93,8 @@ def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
         The samples.
     rule
         `"blocks:5s:3"` holds out every third block of 5 s, `"last:0.3"` the last 30 % of the time.
+    shared
+        Whether both parts are segments of the same arrays, which takes no memory.
 
     Returns
     -------
@@ -128,6 +130,8 @@ def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
             file=samples.source,
             value=rule,
         )
+    if shared:
+        return samples.within(~held), samples.within(held)
     return samples.select(~held), samples.select(held)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.parallel_filter import ParallelFilter
 
 Segments = tuple[tuple[int, int], ...]
+AT_ONCE = 32_768
+"""Samples of a long recording whose torques are predicted or filtered at once."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,6 +39,7 @@ class Samples:
         Names of the n joints.
     segments
         Half-open index ranges of contiguous samples, by default all; there are gaps between them.
+        Samples outside of them do not count.
     source, torque_source
         Name of the recording, and what measured the torque.
     parallel
@@ -195,15 +198,47 @@ class Samples:
 
     def filtered(self, x: Array) -> Array:
         """Apply the parallel filter to x (N, ...), segment by segment, giving (n_filtered, ...)."""
-        return np.concatenate(
-            [
-                self.parallel.apply(x[a:b], axis=0) if self.parallel else x[a:b]
-                for a, b in self.segments
-            ]
-        )
+        if self.parallel is None:
+            return self.in_segments(x)
+        step, width = self.parallel.decimation, self.parallel.taps.size
+        at_once = max(1, AT_ONCE // step)
+        parts = []
+        for a, b in self.segments:
+            count = self._n_outputs(b - a)
+            for first in range(0, max(count, 1), at_once):
+                last = min(first + at_once, count)
+                span = slice(a + first * step, min(a + (last - 1) * step + width, b))
+                parts.append(self.parallel.apply(x[span], axis=0))
+        return np.concatenate(parts)
+
+    def in_segments(self, x: Array) -> Array:
+        """Return x (N, ...) at the samples of segments alone."""
+        if sum(b - a for a, b in self.segments) == len(x):
+            return x
+        return np.concatenate([x[a:b] for a, b in self.segments])
+
+    def spans(self) -> Iterator[slice]:
+        """Yield spans of contiguous samples that together are all of segments, some at a time."""
+        for a, b in self.segments:
+            for first in range(a, b, AT_ONCE):
+                yield slice(first, min(first + AT_ONCE, b))
+
+    def within(self, keep: NDArray[np.bool_]) -> Samples:
+        """Return the same arrays with those segments of them where `keep` (N,) is true."""
+        return replace(self, segments=tuple(self._ranges(keep)))
+
+    def compact(self) -> Samples:
+        """Return the samples of segments alone."""
+        if sum(b - a for a, b in self.segments) == self.n_samples:
+            return self
+        return self._taken(list(self.segments))
 
     def select(self, keep: NDArray[np.bool_]) -> Samples:
         """Return the samples where `keep` (N,) is true; contiguous ones remain one segment."""
+        return self._taken(self._ranges(keep))
+
+    def _ranges(self, keep: NDArray[np.bool_]) -> list[tuple[int, int]]:
+        """Return the contiguous samples of segments where `keep` is true."""
         mask = np.asarray(keep)
         if mask.dtype != np.bool_ or mask.shape != self.t.shape:
             raise UsageError(
@@ -221,6 +256,10 @@ class Samples:
                 f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and"
                 f" {self.t[-1]:g} s"
             )
+        return ranges
+
+    def _taken(self, ranges: list[tuple[int, int]]) -> Samples:
+        """Return the samples of these ranges, each a segment."""
         stops = np.cumsum([b - a for a, b in ranges]).tolist()
         segments = tuple(zip([0, *stops[:-1]], stops, strict=True))
 

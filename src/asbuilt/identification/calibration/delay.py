@@ -210,7 +210,7 @@ class _Fits:
         """Return the delays (R,) after which the residual falls no further."""
         columns = self.columns(delays)
         for _ in range(RULES.most_steps):
-            step = columns.solve(shares).increments[: self.count]
+            step = columns.increments(shares)[: self.count]
             step = np.clip(step, -self.longest, self.longest)
             if np.all(np.abs(step) < RULES.settled) or np.any(
                 np.abs(delays + step) > RULES.farthest

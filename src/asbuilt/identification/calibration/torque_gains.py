@@ -22,7 +22,10 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import payload_frame
-from asbuilt.identification.information.rows import sample_blocks
+from asbuilt.identification.errors.common_growth import BlockScores
+from asbuilt.identification.errors.uncertainty import scatter_of
+from asbuilt.identification.information.held_out import motions_of
+from asbuilt.identification.information.rows import TimeBlock, sample_blocks
 from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
 
 if TYPE_CHECKING:
@@ -259,8 +262,9 @@ def identify_gains(
     given = LinkInertia.from_com(mass, centre, tensor).parameters
     known = np.array([inertia_about_com is not None] * 6 + [com is not None] * 3 + [True])
     with one_blas_thread():
-        gains, payload = problem.solve(np.where(known, given, 0.0), known)
-        scatter = problem.jackknife(gains, np.where(known, given, 0.0), known)
+        solution = problem.solve(np.where(known, given, 0.0), known)
+        scatter = problem.std_errors(solution, known)
+    gains, payload = 1.0 / solution.inverse, solution.theta[-10:]
     open_ended = ~(scatter < np.abs(gains)) | (
         np.abs(gains) > RULES.runaway * np.nanmedian(np.abs(gains))
     )
@@ -289,6 +293,15 @@ def identify_gains(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """Hold `[beta, phi]`, 1 / gain (n,) and the noise of each joint's logged torque (n,)."""
+
+    theta: Array
+    inverse: Array
+    sigma: Array
+
+
 class _Problem:
     """Hold the triangular factors of `[W_k | P_k | i_k]` of every joint by time block."""
 
@@ -311,6 +324,7 @@ class _Problem:
         )
         plan = RegressorPlan.of(model, drive, union, spare_rows=1)
         self.blocks: list[list[Array]] = []
+        self.times: list[TimeBlock] = []
         loads: set[bool] = set()
         for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
             for part in sample_blocks(model, [samples]):
@@ -326,6 +340,7 @@ class _Problem:
                     payload = every[:, where_payload] @ to_link if under else np.zeros((len(r), 10))
                     block.append(np.hstack([every[:, where_base], payload, r[:, -1:]]))
                 self.blocks.append(block)
+                self.times.append(part.time)
                 loads.add(under)
         if len(loads) < 2:
             raise IdentifiabilityError(
@@ -334,42 +349,32 @@ class _Problem:
                 cure=Cure("record longer, or raise the cutoff"),
             )
 
-    def solve(
-        self,
-        given: Array,
-        known: NDArray[np.bool_],
-        start: Array | None = None,
-        skip: int | None = None,
-    ) -> tuple[Array, Array]:
-        """Return gains (n,) and payload (10,) by reweighted Gauss-Newton on 1 / gain."""
-        kept = [block for b, block in enumerate(self.blocks) if b != skip]
-        rows = [triangular_factor(np.vstack([block[k] for block in kept])) for k in range(self._n)]
-        p = self._p
-        free = np.concatenate([np.ones(p, dtype=bool), ~known])
+    def solve(self, given: Array, known: NDArray[np.bool_]) -> _Solution:
+        """Return gains and payload by reweighted Gauss-Newton on 1 / gain."""
+        rows = [
+            triangular_factor(np.vstack([block[k] for block in self.blocks]))
+            for k in range(self._n)
+        ]
+        n_samples, p = sum(block.n_samples for block in self.times), self._p
+        free = self._free(known)
         theta = np.concatenate([np.zeros(p), given])
-        inverse = self._signs(rows, theta, free) if start is None else 1.0 / start
+        inverse = self._signs(rows, theta, free)
         sigma = np.ones(self._n)
         for iteration in range(RULES.iterations):
-            scaled = [
-                r * [[*([g] * (p + 10)), 1.0]] / s
-                for r, g, s in zip(rows, inverse, sigma, strict=True)
-            ]
-            matrix = np.vstack([r[:, :-1][:, free] for r in scaled])
-            target = np.concatenate([r[:, -1] - r[:, :-1][:, ~free] @ theta[~free] for r in scaled])
-            if iteration == 0 and start is None:
-                theta[free] = _least_squares(matrix, target)
-            errors = [r @ np.append(-theta, 1.0) for r in scaled]
-            slopes = np.zeros((len(target), self._n))
-            top = 0
-            for k, r in enumerate(scaled):
-                slopes[top : top + len(r), k] = r[:, :-1] @ theta / inverse[k]
-                top += len(r)
-            step = _least_squares(np.hstack([matrix, slopes]), np.concatenate(errors))
+            if iteration == 0:
+                every = np.vstack([r * g for r, g in zip(rows, inverse, strict=True)])
+                target = np.concatenate([r[:, -1] for r in rows])
+                theta[free] = _least_squares(
+                    every[:, :-1][:, free], target - every[:, :-1][:, ~free] @ theta[~free]
+                )
+            matrix, errors = self._linear(rows, _Solution(theta, inverse, sigma), free)
+            step = _least_squares(matrix, errors)
             change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))
             theta[free] += step[: -self._n]
             inverse = inverse + change
             left = [r @ np.append(-g * theta, 1.0) for r, g in zip(rows, inverse, strict=True)]
-            sigma = np.maximum([float(np.linalg.norm(e)) for e in left], 1e-12)
+            noise = np.array([float(np.linalg.norm(error)) for error in left])
+            sigma = np.maximum(noise / np.sqrt(n_samples), 1e-12)
             if np.all(np.abs(change) <= RULES.convergence * np.abs(inverse)):
                 break
         if not np.all(np.isfinite(inverse)):
@@ -377,7 +382,22 @@ class _Problem:
                 "the recordings do not determine the gains",
                 cure=Cure("carry a heavier payload, and move the joints that carry it"),
             )
-        return 1.0 / inverse, theta[p:]
+        return _Solution(theta, inverse, sigma)
+
+    def _free(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.concatenate([np.ones(self._p, dtype=bool), ~known])
+
+    def _linear(
+        self, rows: Sequence[Array], at: _Solution, free: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Return the matrix of `[beta, free phi, 1 / gain]` about a solution, and the errors."""
+        matrix, errors = [], []
+        for k, (r, g, s) in enumerate(zip(rows, at.inverse, at.sigma, strict=True)):
+            own = np.zeros((len(r), self._n))
+            own[:, k] = r[:, :-1] @ at.theta
+            matrix.append(np.hstack([g * r[:, :-1][:, free], own]) / s)
+            errors.append((r[:, -1] - g * own[:, k]) / s)
+        return np.vstack(matrix), np.concatenate(errors)
 
     def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
         """Return the sign (n,) of each gain by a fit of `-i_k g_k + Y_k beta + P_k phi = 0`."""
@@ -408,13 +428,41 @@ class _Problem:
             )
         return np.array(shares)
 
-    def jackknife(self, gains: Array, given: Array, known: NDArray[np.bool_]) -> Array:
-        """Return standard errors (n,) from leaving out one time block after another."""
-        left = np.array(
-            [self.solve(given, known, start=gains, skip=b)[0] for b in range(len(self.blocks))]
+    def std_errors(self, solution: _Solution, known: NDArray[np.bool_]) -> Array:
+        """Return standard errors of the gains (n,) from time blocks, infinite if undetermined.
+
+        Those of the fit about the solution, as in `block_uncertainty`: the arm and the unknown part
+        of the payload absorb residuals too.
+        """
+        free, p = self._free(known), self._p
+        parts = [self._linear(block, solution, free) for block in self.blocks]
+        whole, errors = (np.concatenate([part[i] for part in parts]) for i in range(2))
+        root, lost = _inverse_root(whole)
+        grams = np.array([matrix.T @ matrix for matrix, _ in parts])
+        n_rows = self._n * sum(block.n_samples for block in self.times)
+        variance = float(errors @ errors) / max(n_rows - root.shape[1], 1)
+        data = BlockScores(
+            root.T @ grams @ root,
+            np.array([error @ matrix for matrix, error in parts]) @ root,
+            self.times,
+            motions_of(grams[:, :p, :p], np.array([block.n_samples for block in self.times])),
+            n_rows,
+            variance,
         )
-        b = len(left)
-        return np.asarray(np.sqrt((b - 1) / b * np.sum((left - left.mean(axis=0)) ** 2, axis=0)))
+        own = root[-self._n :]
+        found = np.maximum(scatter_of(data, own).variance, variance * np.sum(own**2, axis=1))
+        return np.where(lost[-self._n :], np.inf, np.sqrt(found)) / solution.inverse**2
+
+
+def _inverse_root(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return L (p, r) with `L L^T = (A^T A)^+` in scaled columns, and which unknowns are lost."""
+    sizes = np.linalg.norm(matrix, axis=0)
+    sizes[sizes == 0.0] = 1.0
+    _, s, axes = np.linalg.svd(triangular_factor(matrix / sizes))
+    kept = s > RULES.rank_tolerance * s[0]
+    # Part of an unknown in directions without information beyond which nothing bounds it.
+    lost = np.sum(axes[~kept] ** 2, axis=0) > 1e-6
+    return (axes[kept] / s[kept, None]).T / sizes[:, None], lost
 
 
 def _least_squares(matrix: Array, target: Array) -> Array:

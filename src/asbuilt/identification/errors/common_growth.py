@@ -2,18 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from asbuilt.arrays import Array, Mask
-from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.held_out import different_motions
-from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.identification.information.rows import TimeBlock
 
 LEAST_LEFT = 0.05
 """Least `(1 - 2 p D / N)^2`: a fit that absorbs more of its residuals is not corrected further."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockScores:
+    """Hold what each of B time blocks says of r unknowns of a fit, all of them, nuisance too.
+
+    Parameters
+    ----------
+    grams, scores
+        `L^T W_b^T W_b L` (B, r, r) and `L^T W_b^T e_b` (B, r) of the weighted residual e, with the
+        inverse root L that makes the sum of the `grams` one.
+    blocks
+        Their times.
+    alike
+        The blocks in groups of like motion.
+    n_rows
+        Number of torques.
+    variance
+        Variance of a weighted residual.
+    """
+
+    grams: Array
+    scores: Array
+    blocks: Sequence[TimeBlock]
+    alike: Sequence[Indices]
+    n_rows: int
+    variance: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +55,7 @@ class CommonGrowth:
 
 
 def common_growth(
-    information: SquareRootInformation,
-    estimate: Estimate,
-    moves: Array,
-    grams: Array,
-    absorbed: Array,
-    leverage: float,
-    freedom: float,
+    data: BlockScores, moves: Array, absorbed: Array, leverage: float, freedom: float
 ) -> CommonGrowth:
     """Return the factor by which block variances are too small, for three reasons.
 
@@ -50,12 +70,10 @@ def common_growth(
 
     Parameters
     ----------
-    information, estimate
-        The data and the estimate.
+    data
+        The blocks.
     moves
         Scores of the blocks, corrected for leverage, `(1 - M_b)^(-1/2) g_b`, (n_blocks, rank).
-    grams
-        Information of the blocks `M_b`, (n_blocks, rank, rank).
     absorbed
         `(1 - M_b)^(-1/2) M_b`, (n_blocks, rank, rank): by their products the fit makes moves of
         two blocks opposite where residuals are independent.
@@ -64,21 +82,20 @@ def common_growth(
     freedom
         Degrees of freedom of the variance of one parameter.
     """
-    variance = _unit_variance(estimate)
-    if variance <= 0.0 or not np.any(moves):
+    if data.variance <= 0.0 or not np.any(moves):
         return CommonGrowth(1.0, 0.0)
     rank = effective_rank(moves)
     pairs = _Pairs.of(moves, absorbed, leverage)
-    after = _successive(information)
-    again = np.triu(_along(repetitions(information, grams), after), 1) & ~after
-    alike = _of_like_motion(information, estimate) & ~after & ~again
+    after = _successive(data.blocks)
+    again = np.triu(_along(repetitions(data), after), 1) & ~after
+    alike = _of_like_motion(data.alike, len(moves)) & ~after & ~again
     parts = [pairs.sum(each) for each in (after, again, alike)]
     spread = sum(each.spread for each in parts) / rank
     lasting, *shared = parts
     of_noise = 1.0 + float(np.clip(lasting.part, 0.0, 1.0))
     along = of_noise + sum(each.beyond_chance(rank) for each in shared)
-    share = leverage / max(information.n_rows, 1)
-    seen = float(np.sum(moves**2)) / (moves.shape[1] * variance)
+    share = leverage / max(data.n_rows, 1)
+    seen = float(np.sum(moves**2)) / (moves.shape[1] * data.variance)
     grown, steep = _absorbed(share, along * seen)
     spread /= along**2
     of_moves = 2.0 / (rank * freedom)
@@ -112,19 +129,13 @@ def _absorbed(share: float, seen: float) -> tuple[float, float]:
     return max(float(grown), 1.0), float((1.0 - share) / root / grown) if left > LEAST_LEFT else 1.0
 
 
-def _unit_variance(estimate: Estimate) -> float:
-    """Return the variance of a whitened parameter by the textbook."""
-    length = float(np.sum(estimate.solution.inverse_root**2))
-    return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
-
-
-def repetitions(information: SquareRootInformation, grams: Array) -> Mask:
+def repetitions(data: BlockScores) -> Mask:
     """Return which pairs of blocks repeat a motion, the first lower, shape (n_blocks, n_blocks).
 
     Their information per sample is alike.
     """
-    samples = np.array([block.n_samples for block in information.blocks], dtype=np.float64)
-    features = (grams / samples[:, None, None]).reshape(len(grams), -1)
+    samples = np.array([block.n_samples for block in data.blocks], dtype=np.float64)
+    features = (data.grams / samples[:, None, None]).reshape(len(samples), -1)
     products = features @ features.T
     size = np.diag(products)
     total = size[:, None] + size
@@ -188,9 +199,8 @@ class _Pairs:
         )
 
 
-def _successive(information: SquareRootInformation) -> Mask:
+def _successive(blocks: Sequence[TimeBlock]) -> Mask:
     """Return which pairs of blocks are successive, the first lower."""
-    blocks = information.blocks
     found = np.zeros((len(blocks),) * 2, dtype=np.bool_)
     for b, (block, other) in enumerate(pairwise(blocks)):
         found[b, b + 1] = block.source == other.source and 0.0 <= other.start - block.stop < 0.5 * (
@@ -211,9 +221,9 @@ def _along(repeated: Mask, after: Mask) -> Mask:
     return found | found.T
 
 
-def _of_like_motion(information: SquareRootInformation, estimate: Estimate) -> Mask:
+def _of_like_motion(groups: Sequence[Indices], n_blocks: int) -> Mask:
     """Return which pairs of blocks are in the same group of like motion, the first lower."""
-    number = np.empty(information.n_blocks, dtype=np.int64)
-    for k, group in enumerate(different_motions(information, estimate.weights)):
+    number = np.empty(n_blocks, dtype=np.int64)
+    for k, group in enumerate(groups):
         number[group] = k
     return np.asarray(np.triu(number[:, None] == number, 1))

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.errors.leverage import TINY, block_variances
-from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
+from asbuilt.identification.errors.common_growth import BlockScores
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, scatter_of, unit_variance
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.rows import sample_blocks
-from asbuilt.identification.result.torque_prediction import model_torque
+from asbuilt.identification.information.held_out import motions_of
+from asbuilt.identification.information.rows import TimeBlock, sample_blocks
+from asbuilt.identification.result.torque_prediction import torque_in_spans
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -33,14 +33,12 @@ if TYPE_CHECKING:
 class DelaySolution:
     """Hold increments (m,) [s] of delays and their covariance (m, m), infinite if undetermined.
 
-    `follows` (p, m) is the change of the base parameters per delay, `swell` (m,) the standard error
-    from time blocks in those for independent residuals.
+    `follows` (p, m) is the change of the base parameters per delay.
     """
 
     increments: Array
     covariance: Array
     follows: Array
-    swell: Array
     n_blocks: int
 
     @property
@@ -57,7 +55,7 @@ class DelayColumns:
     coordinates `beta = S x` with S (p, r) the inverse root of the estimate: `grams` (B, r, r),
     `across` (B, r, 2 n) with these columns, `own` (B, 2 n, 2 n) among them, and the scores
     `beta_scores` (B, r) and `delay_scores` (B, 2 n) of the residual, joints weighted. `place` (B,)
-    is that of each block's recording among R.
+    is that of each block's recording among R; `n_rows` torques have residuals of this `variance`.
     """
 
     grams: Array
@@ -67,6 +65,9 @@ class DelayColumns:
     delay_scores: Array
     place: Array
     root: Array
+    blocks: tuple[TimeBlock, ...]
+    n_rows: int
+    variance: float
 
     @property
     def n_joints(self) -> int:
@@ -77,43 +78,95 @@ class DelayColumns:
     def _known(self) -> Array:
         return np.asarray(np.linalg.pinv(self.grams.sum(axis=0), hermitian=True))
 
+    def increments(self, shares: Array) -> Array:
+        """Return the delays (m,) [s] that lower the residual most, 0 for undetermined ones."""
+        found = self._solved(shares)
+        return _spread_out(found.solution[len(found.moved) :], found.free, shares.shape[-1])
+
     def solve(self, shares: Array, *, textbook: bool = False) -> DelaySolution:
         """Return the delays that lower the residual most, and what they add to other errors.
 
         `shares` (R, 2 n, m) are the delays of each recording and column per free delay. With `C'`
         the columns projected off all others, the covariance is `(C'^T C')^-1`, or that from time
-        blocks if it is larger (CR2 with Student's quantile, as in `block_uncertainty`). The base
-        parameters follow by `-(W^T W)^-1 W^T C` (Frisch and Waugh, Econometrica 1, 1933).
+        blocks if it is larger. Theirs counts, as in `block_uncertainty`, that base parameters
+        absorb residuals too and that residuals outlast a block. The base parameters follow by
+        `-(W^T W)^-1 W^T C` (Frisch and Waugh, Econometrica 1, 1933).
         """
+        found, m = self._solved(shares), shares.shape[-1]
+        inverse = found.root @ found.root.T
+        if found.free.size and not textbook and len(self.blocks) >= FEWEST_BLOCKS:
+            swell = np.sqrt(np.maximum(self._variance(found) / np.diag(inverse), 1.0))
+            inverse = inverse * np.outer(swell, swell)
+        covariance = np.diag(np.full(m, np.inf))
+        covariance[np.ix_(found.free, found.free)] = inverse
+        follows = np.zeros((len(self.root), m))
+        follows[:, found.free] = -self.root @ found.moved
+        return DelaySolution(self.increments(shares), covariance, follows, len(self.blocks))
+
+    def _solved(self, shares: Array) -> _Solved:
+        """Return the fit of base parameters and delays together, by elimination."""
         spread = shares[self.place]
         A = np.einsum("brk,bkm->brm", self.across, spread)
         D = np.einsum("bkl,bkj,bjm->blm", spread, self.own, spread, optimize=True)
-        moved = self._known @ A.sum(axis=0)
-        own = np.einsum("bkm,bk->bm", spread, self.delay_scores)
-        scores = own - self.beta_scores @ moved
-        mixed = np.einsum("brm,rl->bml", A, moved)
-        grams = (
-            D
-            - mixed
-            - mixed.transpose(0, 2, 1)
-            + np.einsum("rm,brs,sl->bml", moved, self.grams, moved)
-        )
-        left, whole = grams.sum(axis=0), D.sum(axis=0)
-        m = shares.shape[-1]
+        of_delay = np.einsum("bkm,bk->bm", spread, self.delay_scores)
+        moved, whole = self._known @ A.sum(axis=0), D.sum(axis=0)
+        left = whole - moved.T @ self.grams.sum(axis=0) @ moved
         # Squared part of a delay's column outside all others below which it is undetermined.
-        found = np.flatnonzero(np.diag(left) > 1e-9 * np.maximum(np.diag(whole), TINY))
-        increments, swell = np.zeros(m), np.ones(m)
-        covariance = np.diag(np.full(m, np.inf))
-        if found.size:
-            inverse = np.linalg.inv(left[np.ix_(found, found)])
-            increments[found] = inverse @ scores.sum(axis=0)[found]
-            if not textbook and len(scores) >= FEWEST_BLOCKS:
-                scatter, freedom = block_variances(
-                    inverse, grams[:, found][:, :, found], scores[:, found]
-                )
-                swell[found] = np.sqrt(np.maximum(scatter * widening(freedom) ** 2, 1.0))
-            covariance[np.ix_(found, found)] = inverse * np.outer(swell[found], swell[found])
-        return DelaySolution(increments, covariance, -self.root @ moved, swell, len(scores))
+        free = np.flatnonzero(
+            np.diag(left) > 1e-9 * np.maximum(np.diag(whole), np.finfo(np.float64).tiny)
+        )
+        A, D, of_delay, moved = (
+            A[..., free],
+            D[:, free][..., free],
+            of_delay[:, free],
+            moved[:, free],
+        )
+        root = np.linalg.cholesky(np.linalg.inv(left[np.ix_(free, free)]))
+        grams = np.block([[self.grams, A], [A.transpose(0, 2, 1), D]])
+        scores = np.hstack([self.beta_scores, of_delay])
+        r, total = len(moved), scores.sum(axis=0)
+        x = root @ root.T @ (total[r:] - moved.T @ total[:r])
+        solution = np.append(self._known @ (total[:r] - A.sum(axis=0) @ x), x)
+        return _Solved(grams, scores, solution, moved, root, free)
+
+    def _variance(self, found: _Solved) -> Array:
+        """Return the variances of delays from time blocks."""
+        values, axes = np.linalg.eigh(self._known)
+        own = (axes * np.sqrt(np.maximum(values, 0.0)))[:, values > 0.0]
+        m, r = found.free.size, own.shape[1]
+        whole = np.block([[own, -found.moved @ found.root], [np.zeros((m, r)), found.root]])
+        data = BlockScores(
+            whole.T @ found.grams @ whole,
+            (found.scores - found.grams @ found.solution) @ whole,
+            self.blocks,
+            motions_of(self.grams, np.array([block.n_samples for block in self.blocks])),
+            self.n_rows,
+            self.variance,
+        )
+        return scatter_of(data, whole[-m:]).variance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """Hold normal equations of base parameters and the m delays `free`, by block, and the solution.
+
+    `moved` (r, m) is the regression of the columns of delays on the others, `root` (m, m) the
+    inverse root of what it leaves.
+    """
+
+    grams: Array
+    scores: Array
+    solution: Array
+    moved: Array
+    root: Array
+    free: Indices
+
+
+def _spread_out(x: Array, places: Indices, m: int) -> Array:
+    """Return m numbers, x at their places and 0 elsewhere."""
+    found = np.zeros(m)
+    found[places] = x
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +226,7 @@ def delay_columns(
     root, weights, n = estimate.solution.inverse_root, estimate.weights, model.n_joints
     r = root.shape[1]
     parts: list[tuple[Array, Array, Array, Array, Array, int]] = []
+    blocks: list[TimeBlock] = []
     with one_blas_thread():
         for place, batch in enumerate(samples):
             beside = _torque_rates(model, base, estimate.beta, batch)
@@ -191,15 +245,30 @@ def delay_columns(
                         by_delay[both] += c @ e
                         by_beta += x @ e
                 parts.append((gram, across, own, by_beta, by_delay, place))
+                blocks.append(part.time)
     grams, across, own, by_beta, by_delay, places = map(np.array, zip(*parts, strict=True))
-    return DelayColumns(grams, across, own, by_beta, by_delay, places, root)
+    n_rows = sum(block.n_samples for block in blocks) * int(np.count_nonzero(weights))
+    return DelayColumns(
+        grams,
+        across,
+        own,
+        by_beta,
+        by_delay,
+        places,
+        root,
+        tuple(blocks),
+        n_rows,
+        unit_variance(estimate),
+    )
 
 
 def _torque_rates(
     model: RobotModel, base: BaseParameters, beta: Array, samples: Samples
 ) -> Callable[[slice], list[Array]]:
     """Return what gives the rates of torque and friction [N m/s], each (L, n), on a span."""
-    rigid, torque = model_torque(model, base, beta, samples)
+    rigid, torque = np.zeros((2, *samples.q.shape))
+    for span, *parts in torque_in_spans(model, base, beta, samples):
+        rigid[span], torque[span] = parts
     rates = np.zeros((2, *torque.shape))
     for a, b in samples.segments:
         if b - a > 1:

@@ -9,12 +9,14 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.errors.block_scatter import BlockScatter, widening
-from asbuilt.identification.errors.common_growth import common_growth
+from asbuilt.identification.errors.common_growth import BlockScores, CommonGrowth, common_growth
 from asbuilt.identification.errors.error_basis import ErrorBasis, ErrorKind
-from asbuilt.identification.errors.leverage import MOST_LEVERAGE
 from asbuilt.identification.information.estimate import Estimate
+from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
+MOST_LEVERAGE = 0.999
+"""Largest share of the information on a direction that one block is taken to have."""
 FEWEST_BLOCKS = 8
 """Blocks below which their scatter gives no usable variance."""
 
@@ -63,25 +65,23 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     variance.
     """
     n_blocks, n_samples = information.n_blocks, information.n_samples
-    root = estimate.solution.inverse_root
     if n_blocks < FEWEST_BLOCKS or estimate.rank == 0:
         return Uncertainty(
             estimate.covariance, float(n_samples), basis_of(information, "textbook", asked="blocks")
         )
     grams, scores = block_scores(information, estimate)
-    found = corrected_moves(grams, scores, root)
-    freedom = found.freedom
+    data = BlockScores(
+        grams,
+        scores,
+        information.blocks,
+        different_motions(information, estimate.weights),
+        information.n_rows,
+        unit_variance(estimate),
+    )
+    found = scatter_of(data, estimate.solution.inverse_root)
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
-    typical = float(np.median(freedom[determined])) if determined.any() else 1.0
-    common = common_growth(
-        information, estimate, found.moves, grams, found.absorbed, found.leverage, typical
-    )
-    parts = np.sqrt(common.factor) * found.moves @ root.T
-    scatter = BlockScatter.of(parts, freedom, common.variance)
-    variance = np.maximum(
-        np.sum(parts**2, axis=0) * widening(scatter.degrees_of_freedom) ** 2, textbook
-    )
+    variance = np.maximum(found.variance, textbook)
     swell = np.where(determined, np.sqrt(variance / np.where(determined, textbook, 1.0)), 1.0)
     shrinkage = (
         float(np.exp(-2.0 * np.mean(np.log(swell[determined])))) if determined.any() else 1.0
@@ -91,9 +91,40 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         estimate.covariance * np.outer(swell, swell),
         n_samples * shrinkage,
         replace(basis_of(information, "blocks"), growth=growth),
-        scatter,
-        common.factor / common.of_noise,
+        found.scatter,
+        found.common.factor / found.common.of_noise,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scattered:
+    """Hold the variances (p,) of unknowns, widened, their scatter and what is common to all."""
+
+    variance: Array
+    scatter: BlockScatter
+    common: CommonGrowth
+
+
+def scatter_of(data: BlockScores, root: Array) -> Scattered:
+    """Return the variances of p unknowns from time blocks, as `block_uncertainty` describes.
+
+    `root` (p, r) turns the r whitened unknowns of the fit into these. The fit of all r absorbs
+    residuals, so none may be left out.
+    """
+    found = corrected_moves(data.grams, data.scores, root)
+    determined = np.any(root, axis=1)
+    typical = float(np.median(found.freedom[determined])) if determined.any() else 1.0
+    common = common_growth(data, found.moves, found.absorbed, found.leverage, typical)
+    parts = np.sqrt(common.factor) * found.moves @ root.T
+    scatter = BlockScatter.of(parts, found.freedom, common.variance)
+    variance = np.sum(parts**2, axis=0) * widening(scatter.degrees_of_freedom) ** 2
+    return Scattered(variance, scatter, common)
+
+
+def unit_variance(estimate: Estimate) -> float:
+    """Return the variance of a whitened parameter by the textbook."""
+    length = float(np.sum(estimate.solution.inverse_root**2))
+    return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

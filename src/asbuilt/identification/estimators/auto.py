@@ -164,7 +164,8 @@ def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str
         effect = design_effect(information, consistent)
         masses = data.model.has_masses
         weights = [effect * each for each in RULES.beliefs] if masses else []
-        parts = list(folds(information, different_motions(information, consistent.weights)))
+        groups = different_motions(information, consistent.weights)
+        parts = [(used.together(), held.together()) for used, held in folds(information, groups)]
         if len(parts) < RULES.fewest_folds:
             return _unvalidated(information, prior, free, consistent, masses)
         candidates = _candidates(information, prior, free, consistent, weights, parts)

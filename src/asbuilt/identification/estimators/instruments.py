@@ -127,6 +127,7 @@ def follow(
     second. If the mass matrix of beta is not positive definite that of the design serves, or unit
     inertias.
     """
+    samples = samples.compact()
     links, armature, inertia = _inertia(
         model, base, beta, samples.q[:: max(1, samples.n_samples // 200)]
     )

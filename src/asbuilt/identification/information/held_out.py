@@ -33,16 +33,20 @@ def different_motions(
     Blocks are alike if their information per sample is, in parameters scaled to equal torque
     (Ward's linkage; Ward, J. American Statistical Association 58, 1963).
     """
-    if information.n_blocks <= 2:
-        return neighbours(information.n_blocks)
-    length = np.linalg.norm(information.stacked(weights)[:, :-1], axis=0)
-    scale = np.where(length > 0.0, length, 1.0) / np.sqrt(information.n_samples)
+    roots = (information.block_stacked(b, weights)[:, :-1] for b in range(information.n_blocks))
+    grams = np.array([root.T @ root for root in roots])
+    return motions_of(grams, np.array([block.n_samples for block in information.blocks]), most)
+
+
+def motions_of(grams: Array, n_samples: Array, most: int = DIFFERENT_MOTIONS) -> list[Indices]:
+    """Return blocks of information (B, p, p) and so many samples (B,) in groups of like motion."""
+    if len(grams) <= 2:
+        return neighbours(len(grams))
+    length = np.sqrt(np.diag(grams.sum(axis=0)))
+    scale = np.where(length > 0.0, length, 1.0) / np.sqrt(n_samples.sum())
     upper = np.triu_indices(len(scale))
-    features = np.empty((information.n_blocks, len(upper[0])))
-    for b, block in enumerate(information.blocks):
-        root = information.block_stacked(b, weights)[:, :-1] / scale
-        features[b] = (root.T @ root)[upper] / block.n_samples
-    every = -(-information.n_blocks // MOST_SORTED)
+    features = (grams / np.outer(scale, scale))[:, *upper] / n_samples[:, None]
+    every = -(-len(grams) // MOST_SORTED)
     group = fcluster(linkage(features[::every], "ward"), most, "maxclust")
     if every > 1:
         means = np.array([features[::every][group == k].mean(axis=0) for k in np.unique(group)])

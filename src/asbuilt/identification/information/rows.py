@@ -32,7 +32,7 @@ class RowRules:
     """Shortest time block [s]."""
     usual_blocks: int = 10
     """Blocks of a short recording, so that standard errors can be estimated from them."""
-    most_held: float = 200e6
+    most_held: float = 25e6
     """Memory [bytes] of rows that are kept between passes; more are made again in every pass."""
 
 

@@ -147,6 +147,18 @@ class SquareRootInformation:
             tuple(self.blocks[b] for b in chosen),
         )
 
+    def together(self) -> SquareRootInformation:
+        """Return the information of all blocks as one, which takes the memory of one."""
+        first, last = self.blocks[0], self.blocks[-1]
+        return SquareRootInformation(
+            self.base,
+            self.joint_names,
+            self.support,
+            tuple(factor[None] for factor in self.joint_factors),
+            self.torque_sum.sum(axis=0, keepdims=True),
+            (TimeBlock(first.source, first.start, last.stop, self.n_samples),),
+        )
+
     def less(self, torques: Sequence[Array]) -> SquareRootInformation:
         """Return the information of `tau_k - W_k x_k`, with x_k (p_k,) in `torques`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -74,15 +75,15 @@ def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> Robo
     return model.with_parameters(all_parameters(base, values)[: 10 * model.n_links])
 
 
-def model_torque(
+def torque_in_spans(
     model: RobotModel,
     base: BaseParameters,
     values: ArrayLike,
     samples: Samples,
     *,
     added: Array | None = None,
-) -> tuple[Array, Array]:
-    """Return the torque of the rigid bodies and of the whole model, both (N, n), at every sample.
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Yield spans of samples with the torque of the rigid bodies and of the whole model, (L, n).
 
     `added` (10 n,) are link parameters that come on top, such as those of a payload.
 
@@ -99,8 +100,9 @@ def model_torque(
             expected=model.joint_names,
             joints=samples.joint_names,
         )
-    state = (samples.q, samples.qd, samples.qdd)
-    return parameter_torque(model, base.drive, chi, *state, added=added)
+    for span in samples.spans():
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        yield span, *parameter_torque(model, base.drive, chi, *state, added=added)
 
 
 def parameter_torque(
@@ -139,14 +141,18 @@ def beside_measured(model: RobotModel, samples: Samples, torque: Array) -> Predi
             for each in (samples.tau, samples.tau_raw, torque)
         )
         samples = replace(samples, tau=tau, tau_raw=raw)
-    recorded = replace(samples, tau=samples.tau_raw, parallel=None)
-    error = recorded.filtered_torque - recorded.filtered(torque)
+    squares, count = np.zeros((1, len(samples.joint_names))), 0
+    for span in samples.spans():
+        error = samples.tau_raw[span] - torque[span]
+        # row by row, so that the sum is that of all rows at once to the last bit
+        squares = np.vstack([squares, error**2]).sum(axis=0, keepdims=True)
+        count += len(error)
     measured = np.where(samples.has_torque, 1.0, np.nan)
     return Prediction(
         samples.filtered_times,
         measured * samples.filtered_torque,
         samples.filtered(torque),
-        measured * np.sqrt(np.mean(error**2, axis=0)),
+        measured * np.sqrt(squares[0] / count),
         samples.joint_names,
         samples.source,
     )
@@ -178,6 +184,7 @@ def predict_torque(
     ResultError
         If the samples belong to other joints or `values` is not of shape (p,).
     """
-    return beside_measured(
-        model, samples, model_torque(model, base, values, samples, added=added)[1]
-    )
+    torque = np.zeros(samples.q.shape)
+    for span, _, part in torque_in_spans(model, base, values, samples, added=added):
+        torque[span] = part
+    return beside_measured(model, samples, torque)

@@ -59,11 +59,11 @@ def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterato
     span = np.minimum([limit.upper - limit.lower for limit in limits], turn)
     speed = np.array([limit.velocity for limit in limits])
     low, high = (
-        np.array([edge(samples.q, axis=0) for samples in training]) for edge in (np.min, np.max)
+        np.array([edge(samples.in_segments(samples.q), axis=0) for samples in training])
+        for edge in (np.min, np.max)
     )
-    fast = np.max(
-        [np.percentile(np.abs(s.qd), COVERAGE.percentile, axis=0) for s in training], axis=0
-    )
+    speeds = (np.abs(samples.in_segments(samples.qd)) for samples in training)
+    fast = np.max([np.percentile(each, COVERAGE.percentile, axis=0) for each in speeds], axis=0)
     covered = _share(high.max(axis=0) - low.min(axis=0), span)
     reached = _share(fast, speed)
     narrow = np.flatnonzero(covered < COVERAGE.position)

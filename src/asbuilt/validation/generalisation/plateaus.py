@@ -135,7 +135,7 @@ def without_plateaus(training: Sequence[Samples], found: Sequence[Plateau]) -> t
             part = samples.tau[:, each.joint] / each.level
             keep &= part < RULES.left_out
         if keep.any():
-            kept.append(samples.select(keep))
+            kept.append(samples if keep.all() else samples.select(keep))
     return tuple(kept)
 
 
@@ -168,7 +168,7 @@ def _plateau(
     level = float(np.percentile(np.concatenate(torque), RULES.highest))
     try:
         rest = [
-            samples.select(_below(samples, each.t, x, RULES.left_out * level))
+            samples.within(_below(samples, each.t, x, RULES.left_out * level))
             for samples, each, x in zip(training, logged, torque, strict=True)
         ]
         values = _plain_fit(model, base, rest, block_seconds)

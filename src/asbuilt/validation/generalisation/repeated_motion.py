@@ -58,7 +58,7 @@ def repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
 
 
 def _states(samples: Samples) -> NDArray[np.float64]:
-    return np.hstack([samples.q, samples.qd])
+    return np.hstack([samples.in_segments(x) for x in (samples.q, samples.qd)])
 
 
 def _step(count: int) -> int:

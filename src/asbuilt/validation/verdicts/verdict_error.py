@@ -50,8 +50,10 @@ def with_exported(
     exported = exported_parameters(result)
     if exported is None:
         return validation
-    state = (samples.q, samples.qd, samples.qdd)
-    _, torque = parameter_torque(result.model, result.base.drive, exported, *state)
+    torque = np.zeros(samples.q.shape)
+    for span in samples.spans():
+        state = samples.q[span], samples.qd[span], samples.qdd[span]
+        torque[span] = parameter_torque(result.model, result.base.drive, exported, *state)[1]
     return replace(
         validation, metrics_exported=beside_measured(result.model, samples, torque).metrics()
     )

@@ -30,7 +30,6 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
-from asbuilt.identification.result.torque_prediction import model_torque
 from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.generalisation.plateaus import Plateau, plateaus, without_plateaus
 from asbuilt.validation.prediction import Validation, friction_torque, predict_both
@@ -184,9 +183,7 @@ def _encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]
 
 def _friction(fit: Fit, samples: Samples) -> Array:
     """Return the friction of the drives as a fit has it, (N, n)."""
-    beta = fit.estimate.beta
-    rigid = model_torque(fit.model, fit.base, beta, samples)[0]
-    return friction_torque(fit.model, fit.base, beta, samples, rigid)
+    return friction_torque(fit.model, fit.base, fit.estimate.beta, samples)
 
 
 def _on_link(prepared: Prepared, pairs: Sequence[EncoderPair], fit: Fit) -> Prepared:

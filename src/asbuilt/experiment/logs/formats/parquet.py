@@ -77,9 +77,9 @@ def _frames(
     missing = [name for name in columns if name not in header.columns]
     if missing:
         raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
-    # 32e6: memory [bytes] that is read at once: each reading unpacks the pages before its first row
+    # 8e6: memory [bytes] that is read at once: each reading unpacks the pages before its first row
     # too.
-    chunks = max(1, int(32e6 / (8 * max(len(columns), 1) * chunk_samples)))
+    chunks = max(1, int(8e6 / (8 * max(len(columns), 1) * chunk_samples)))
     for begin in range(0, rows, chunks * chunk_samples):
         try:
             frame = (
