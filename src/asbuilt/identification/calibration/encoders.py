@@ -199,6 +199,7 @@ def on_link(
     and the torque is that which moves the rotor with the link: `tau - I (theta - q)'' - (f(theta')
     - f(q'))`, f the friction (N, n) of the drives.
     """
+    samples = samples.compact()
     if samples.encoder is None:
         return samples
     q, qd, qdd, tau = (x.copy() for x in (samples.q, samples.qd, samples.qdd, samples.tau))

@@ -169,6 +169,7 @@ def _divided_or_not(
 def _encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:
     """Return what lies between two encoders, by the friction that was identified."""
     fit, joints = fits.final, fits.final.model.joints
+    samples = [each.compact() for each in samples]
     taken = [_friction(fit, each) for each in samples]
     pairs = identify_encoders(samples, [joint.is_revolute for joint in joints], taken)
     errors = np.sqrt(np.diag(fit.uncertainty.covariance))
