@@ -166,7 +166,7 @@ def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> 
             f" {len(done)} |"
             f" {f'{sum(physical)} of {len(physical)}' if physical else MISSING} |"
             f" {f'{min(masses):.2f} to {max(masses):.2f}' if masses else MISSING} |"
-            f" {cpu:.1f} s | {done[0].get('lines', MISSING)} |"
+            f" {cpu:.1f} s | {tool.lines} |"
         )
     return "\n".join(lines)
 
