@@ -179,7 +179,7 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     keys = "motor_armature,motor_viscous,motor_coulomb,viscous,quadratic,cubic,coulomb"
     keys += ",asymmetric_coulomb,asymmetric_viscous,spring,balancer,offset"
     drive = DriveSet.parse(keys)
-    values = np.random.default_rng(0).uniform(0.1, 1.0, 2 * drive.columns_per_joint)
+    values = np.random.default_rng(0).uniform(0.1, 1.0, 6 * drive.columns_per_joint)
     compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)
     tau = compiled.call("inverse_dynamics", 6)
     q, qd, qdd = sample_states(model, 10)
@@ -196,7 +196,7 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
 def test_every_term_of_the_catalogue_is_written(key: str, tmp_path: Path) -> None:
     model = replace(bundled_robot("two-link"), motor_coupling=np.eye(2) + np.eye(2, k=-1))
     drive = DriveSet((available_terms()[key],))
-    values = np.random.default_rng(0).uniform(0.1, 1.0, 6 * drive.columns_per_joint)
+    values = np.random.default_rng(0).uniform(0.1, 1.0, 2 * drive.columns_per_joint)
     compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)
     q, qd, qdd = sample_states(model, 5)
     load = inverse_dynamics(model, q, qd, qdd)
