@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from adapter import Facts
 from pinocchio_regressor import FROM_PINOCCHIO
-from plain import Motion, closed_contacts
+from plain import Motion, closed_contacts, low_pass
 from regression import Regression
 
 Array = Any
@@ -68,16 +68,17 @@ class Flyer(Regression):
         return np.concatenate([np.zeros((len(own), BASE, own.shape[2])), own], axis=1)
 
     def stacked(self, motions: list[Motion]) -> tuple[Array, Array]:
-        """Return projected W and tau, coordinate by coordinate."""
-        W, tau = [], []
-        for motion, log in zip(motions, self.facts.logs(), strict=True):
+        """Return projected W and tau after the same low-pass, coordinate by coordinate."""
+        W, tau, facts = [], [], self.facts
+        for motion, log in zip(motions, facts.logs(), strict=True):
+            contact = closed_contacts(log["contact"], facts.rate, facts.cutoff)
+            P = projections(facts, motion.q, contact)
+            columns = P @ np.concatenate([self.bodies(motion), self.drive_columns(motion)], axis=2)
+            torque = np.einsum("tij,tj->ti", P[:, :, BASE:], log["tau"])
             rows = motion.inner()
-            part = Motion(*(x[rows] for x in motion))
-            contact = closed_contacts(log["contact"], self.facts.rate, self.facts.cutoff)
-            P = projections(self.facts, part.q, contact[rows])
-            columns = np.concatenate([self.bodies(part), self.drive_columns(part)], axis=2)
-            W.append(P @ columns)
-            tau.append(np.einsum("tij,tj->ti", P[:, :, BASE:], part.tau))
+            for x, found in ((columns, W), (torque, tau)):
+                smooth = low_pass(x.reshape(len(x), -1), facts.rate, facts.cutoff)
+                found.append(smooth.reshape(x.shape)[rows])
         p = W[0].shape[2]
         return np.concatenate(W).transpose(1, 0, 2).reshape(-1, p), np.concatenate(tau).T.ravel()
 
