@@ -5,10 +5,13 @@ BIN    := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test studies test-lowest fuzz quick check bench benchmark docs format wheel clean
+.PHONY: install demo test studies test-lowest fuzz quick check bench benchmark docs format wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/asbuilt demo --out out/demo
+
+# All environments that continuous integration uses.
+install: $(VENV)/.installed-check $(VENV)/.installed-docs
 
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not study"

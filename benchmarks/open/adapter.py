@@ -19,9 +19,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plain import Motion, plain_motion
+from plain import Motion, logged_motion, plain_motion
 
 Array = Any
+OTHER_TASKS = {
+    "loaded": ("payload", "it has no function for payloads"),
+    "contacts": ("fit_legs", "it takes no contact forces that nobody measured"),
+    "horizon": ("follow", "it needs measured torques"),
+}
+"""Facts of tasks other than a fit of torques: what an adapter needs for them, why it cannot."""
 
 
 @dataclass
@@ -32,16 +38,18 @@ class Facts:
     joints: list[str]
     tree_joints: list[str]
     tree_links: list[str]
-    coupling: dict[str, Any] | None
     gravity: list[float]
     cutoff: float
     rate: float
     torque_source: str
-    armature: bool
     training: list[str]
     test: list[str]
     settings: dict[str, Any]
+    coupling: dict[str, Any] | None = None
+    armature: bool = False
     description: str = ""
+    contacts: list[str] = field(default_factory=list)
+    horizon: float = 0.0
     loaded: list[str] = field(default_factory=list)
     task: str = ""
 
@@ -56,6 +64,8 @@ class Facts:
 
     def plain(self, names: list[str] | None = None) -> list[Motion]:
         """Return them after the plain low-pass."""
+        if self.contacts:
+            return [logged_motion(each, self.rate, self.cutoff) for each in self.logs(names)]
         return [
             plain_motion(each["t"], each["q"], each["tau"], self.rate, self.cutoff)
             for each in self.logs(names)
@@ -113,15 +123,22 @@ def main() -> None:
         module = _load(tool)
         answer["version"] = importlib.metadata.version(module.PACKAGE)
         facts = Facts(folder=folder, **json.loads((folder / "facts.json").read_text()))
-        if facts.loaded and not hasattr(module, "payload"):
-            raise NotImplementedError("it has no function for payloads")
+        for asked, (name, reason) in OTHER_TASKS.items():
+            if getattr(facts, asked) and not hasattr(module, name):
+                raise NotImplementedError(getattr(module, "LACKS", {}).get(name, reason))
         began = _cpu()
         if facts.loaded:
-            weighed = module.payload(facts)
+            asked = module.weights if "carrier" in facts.settings else module.payload
+            answer |= {"links": None, "parameters": [vars(each) for each in asked(facts)]}
             answer["cpu_seconds"] = _cpu() - began
-            answer |= {"links": None, "parameters": [vars(weighed)]}
             return
-        fit = module.fit(facts)
+        if facts.horizon:
+            for k, path in enumerate(module.follow(facts)):
+                np.save(out / f"answer_{k}.npy", np.asarray(path, dtype=float))
+            answer["cpu_seconds"] = _cpu() - began
+            answer |= {"links": None, "parameters": []}
+            return
+        fit = (module.fit_legs if facts.contacts else module.fit)(facts)
         answer["cpu_seconds"] = _cpu() - began
         for k, name in enumerate(facts.test):
             states = np.load(folder / name)

@@ -24,11 +24,20 @@ LEAD = 0.1
 """Part of the best other error by which a tool leads: one recording of a robot is one sample."""
 KINDS = {
     "torque": "Torque on another motion",
+    "legs": "Legs on the ground",
     "payload": "Payload of known mass",
+    "ratio": "Two weights of known ratio",
     "command": "Command without torque",
     "halves": "Two halves: do the stated errors hold?",
     "virtual": "Virtual robots with known truth",
 }
+
+AXES = {
+    "payload": "error of the mass [%]",
+    "ratio": "error of the ratio [%]",
+    "command": "position error in windows of the test [mrad]",
+}
+"""What pictures show where it is no torque."""
 
 
 def read_results(path: Path = RESULTS) -> dict[tuple[str, str], Row]:
@@ -67,11 +76,16 @@ def cell(kind: str, row: Row | None, best: float | None) -> str:
     if kind == "halves":
         text = f"{100 * row['coverage']:.0f} % (z {value:.1f})"
     else:
-        text = f"{100 * value:.1f} %"
+        text = shown(kind, value)
         if kind == "virtual":
             covered = row.get("coverage")
             text += "" if covered is None else f"; {100 * covered:.0f} % hold"
     return f"**{text}**" if value == best else text
+
+
+def shown(kind: str, value: float) -> str:
+    """Return an error: position errors in mrad, others as a part."""
+    return f"{1000 * value:.1f} mrad" if kind == "command" else f"{100 * value:.1f} %"
 
 
 def best_of(kind: str, values: Sequence[float | None]) -> float | None:
@@ -88,7 +102,11 @@ def _cost(kind: str, value: float) -> float:
 
 
 def _kind_table(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
-    names = list(tools())
+    names = [
+        name
+        for name in tools()
+        if any(value_of(kind, results.get((task, name))) is not None for task in own)
+    ]
     lines = ["| task | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
     for task in own:
         rows = [results.get((task, name)) for name in names]
@@ -116,7 +134,7 @@ def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Ro
         numbers = (
             f"{ours:.1f} to {best:.1f}"
             if kind == "halves"
-            else (f"{100 * ours:.1f} % to {100 * best:.1f} %")
+            else f"{shown(kind, ours)} to {shown(kind, best)}"
         )
         behind.append(f"{task} ({numbers} of {who})")
     if not led and not behind and not level:
@@ -148,7 +166,7 @@ def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> 
             f" {len(done)} |"
             f" {f'{sum(physical)} of {len(physical)}' if physical else MISSING} |"
             f" {f'{min(masses):.2f} to {max(masses):.2f}' if masses else MISSING} |"
-            f" {cpu:.1f} s | {done[0].get('lines', MISSING)} |"
+            f" {cpu:.1f} s | {tool.lines} |"
         )
     return "\n".join(lines)
 
@@ -165,14 +183,19 @@ def _task_section(task: Task, results: dict[tuple[str, str], Row]) -> str:
     commit = f", commit {source.commit}" if source.commit else ""
     lines = [f"### {task.name}", "", f"{task.title}. {task.note}".strip(), ""]
     lines.append(f"Data: {where}{commit}; licence: {source.licence}.")
-    if task.training:
+    if "trained" in task.settings:
+        part = 100.0 * task.settings["trained"]
+        lines.append(
+            f"Training: the first {part:.0f} % of {_files(task.training)}; test: the rest."
+        )
+    elif task.training:
         lines.append(f"Training: {_files(task.training)}.")
     if task.test:
         start = "" if task.test_seconds is None else f" (first {task.test_seconds:g} s)"
         lines.append(f"Test: {_files(task.test)}{start}.")
     lines += [f"Low-pass of the score: {task.cutoff:g} Hz.", ""]
     own = {name: results.get((task.name, name)) for name in tools()}
-    if task.kind in ("torque", "virtual"):
+    if task.kind != "halves":
         lines += [f"![Error by tool](../built/benchmark/{task.name}.png)", ""]
     lines += [
         "| tool | result | mass over CAD | consistent | CPU | note |",
@@ -214,11 +237,12 @@ def draw_pictures(folder: Path = PICTURES, path: Path = RESULTS) -> None:
         names, values = zip(*bars, strict=True)
         colours = ["#d9731a" if name == "asbuilt" else "#7f9bb8" for name in names]
         drawn = axes.barh(names, values, color=colours)
-        axes.bar_label(drawn, fmt="%.1f %%", padding=3)
+        unit = "mrad" if task.kind == "command" else "%%"
+        axes.bar_label(drawn, fmt=f"%.1f {unit}", padding=3)
         axes.invert_yaxis()
         axes.spines[["top", "right"]].set_visible(False)
         axes.set_xlim(0.0, 1.15 * max(values))
-        axes.set_xlabel("error on the test [% of the torque]")
+        axes.set_xlabel(AXES.get(task.kind, "error on the test [% of the torque]"))
         figure.savefig(folder / f"{task.name}.png", facecolor="white", dpi=110)
         plt.close(figure)
 
@@ -227,7 +251,8 @@ def _bars(
     task: Task, known: dict[str, Tool], results: dict[tuple[str, str], Row]
 ) -> list[tuple[str, float]]:
     found = {name: value_of(task.kind, results.get((task.name, name))) for name in known}
-    return [(name, 100.0 * value) for name, value in found.items() if value is not None]
+    unit = 1000.0 if task.kind == "command" else 100.0
+    return [(name, unit * value) for name, value in found.items() if value is not None]
 
 
 if __name__ == "__main__":

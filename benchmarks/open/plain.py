@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, filtfilt
 
 Array = Any
@@ -54,3 +55,22 @@ def plain_motion(t: Array, q: Array, tau: Array | None, rate: float, cutoff: flo
     qdd = np.gradient(qd, grid, axis=0)
     torque = None if tau is None else low_pass(uniform(t, tau, grid), rate, cutoff)
     return Motion(grid, position, qd, qdd, torque)
+
+
+def logged_motion(log: dict[str, Array], rate: float, cutoff: float) -> Motion:
+    """Return logged states of a free base and torques after the low-pass, quaternions of length 1.
+
+    Rates of a base are no derivatives of its pose, so those of the log are taken.
+    """
+    q, qd, qdd, tau = (low_pass(log[key], rate, cutoff) for key in ("q", "qd", "qdd", "tau"))
+    q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1)[:, None]
+    return Motion(log["t"], q, qd, qdd, tau)
+
+
+def closed_contacts(contact: Array, rate: float, cutoff: float) -> Array:
+    """Return contacts (N, c) that count as closed half a period of the cutoff longer.
+
+    So far the low-pass spreads the force of a foot into the time at which it is in the air.
+    """
+    reach = round(0.5 * rate / cutoff)
+    return maximum_filter1d(contact, 2 * reach + 1, axis=0)

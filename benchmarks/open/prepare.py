@@ -26,6 +26,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.writers.models.urdf import urdf_text
 
 Array = Any
+HIDDEN = ("mass", "ratio")
+"""Settings that are the answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,9 @@ def halves(logs: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]
 def cut(log: Recording, rows: slice) -> Recording:
     """Return some rows of a log."""
     qd = None if log.qd is None else log.qd[rows]
-    return replace(log, t=log.t[rows], q=log.q[rows], qd=qd, tau=log.tau[rows], extra={})
+    command = None if log.command is None else log.command[rows]
+    kept = {"t": log.t[rows], "q": log.q[rows], "tau": log.tau[rows]}
+    return replace(log, qd=qd, command=command, extra={}, **kept)
 
 
 def write_problem(
@@ -97,7 +101,7 @@ def write_problem(
             values["qd"] = log.qd
         np.savez(folder / f"train_{k}.npz", **values)
     loaded = []
-    if task.kind == "payload":
+    if task.kind in ("payload", "ratio"):
         loaded = [f"loaded_{k}.npz" for k in range(len(test))]
         for name, log in zip(loaded, test, strict=True):
             np.savez(folder / name, t=log.t, q=log.q, tau=log.tau)
@@ -109,29 +113,35 @@ def write_problem(
         hidden.append(uniform(log.t, log.tau, states.t))
     coupling = model.coupling
     source = training[0].torque_source
-    armature = any(each.key == "armature" for each in usual_drive(model, source).terms)
-    facts = {
-        "task": task.name,
-        "joints": list(model.joint_names),
-        "tree_joints": list(tree.joint_names),
-        "tree_links": list(tree.link_names),
-        "coupling": None
+    write_facts(
+        task,
+        folder,
+        joints=list(model.joint_names),
+        tree_joints=list(tree.joint_names),
+        tree_links=list(tree.link_names),
+        coupling=None
         if coupling is None
         else {"matrix": coupling.matrix.tolist(), "offset": coupling.offset.tolist()},
-        "gravity": list(map(float, model.gravity)),
-        "cutoff": task.cutoff,
-        "rate": rate,
-        "torque_source": source,
-        "armature": armature,
-        "training": [f"train_{k}.npz" for k in range(len(training))],
-        "test": [f"test_{k}.npz" for k in range(len(test))],
-        "settings": {key: value for key, value in task.settings.items() if key != "mass"},
-        "loaded": loaded,
-        "description": description or str(folder.resolve() / "robot.urdf"),
-    }
-    (folder / "facts.json").write_text(json.dumps(facts, indent=1))
+        gravity=list(map(float, model.gravity)),
+        rate=rate,
+        torque_source=source,
+        armature=any(each.key == "armature" for each in usual_drive(model, source).terms),
+        loaded=loaded,
+        description=description or str(folder.resolve() / "robot.urdf"),
+    )
     described = [link.inertia.mass for link in tree.links]
     return Problem(folder, model, tuple(hidden), truth, sum(described) or None)
+
+
+def write_facts(task: Task, folder: Path, **facts: Any) -> None:
+    """Write what a tool is told beside the logs that lie in the folder."""
+    settings = {key: value for key, value in task.settings.items() if key not in HIDDEN}
+    logs = {
+        kind: sorted(path.name for path in folder.glob(f"{name}_*.npz"))
+        for kind, name in (("training", "train"), ("test", "test"))
+    }
+    told = {"task": task.name, "cutoff": task.cutoff, "settings": settings} | logs | facts
+    (folder / "facts.json").write_text(json.dumps(told, indent=1))
 
 
 def with_origins(urdf: str) -> str:

@@ -141,6 +141,29 @@ class Regression:
         error = float(np.sqrt(variance * np.linalg.inv(Y.T @ Y)[9, 9]))
         return Estimate("payload mass", float(found[9]), error)
 
+    def moments(self) -> list[Estimate]:
+        """Return the first moments (mx, my, mz) that each weight adds to the body that carries it.
+
+        Of the torque that the bare arm leaves, by the columns of that body and the offsets, which
+        drift from log to log.
+        """
+        W, tau = self.stacked(self.facts.plain())
+        x = np.linalg.lstsq(W, tau, rcond=1e-8)[0]
+        own = self.facts.settings["carrier"]
+        names = [f"{key}{own}" for key in ("mx", "my", "mz")]
+        offsets = [name for name in self.names if name.startswith("Fo")]
+        columns = [self.names.index(name) for name in (*names, *offsets)]
+        found = []
+        for log in self.facts.loaded:
+            loaded, torque = self.stacked(self.facts.plain([log]))
+            w = self.weights(loaded, torque)
+            Y, left = loaded[:, columns] * w[:, None], (torque - loaded @ x) * w
+            values, *_ = np.linalg.lstsq(Y, left, rcond=1e-8)
+            variance = np.sum((left - Y @ values) ** 2) / (len(left) - len(columns))
+            errors = np.sqrt(variance * np.diag(np.linalg.pinv(Y.T @ Y, rcond=1e-12)))
+            found += [Estimate(*each) for each in zip(names, values, errors, strict=False)]
+        return found
+
     def weighted_fit(self) -> Fit:
         """Identify base parameters by weighted least squares."""
         W, tau = self.stacked(self.facts.plain())

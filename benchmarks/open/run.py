@@ -23,16 +23,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from commanded import commanded_problem, rollout_errors
+from legged import legged_problem, projected_errors
 from page import write_page
 from plain import Motion
 from prepare import Problem, halves, read_task_logs, write_problem
-from score import against_truth, agreement, consistent, coverage, relative_error, torque_errors
+from score import (
+    against_truth,
+    agreement,
+    consistent,
+    coverage,
+    relative_error,
+    torque_errors,
+    weight_ratio,
+)
 from task import DOWNLOADED, HERE, RESULTS, SHARED, Task, download, tasks
 from tool import Tool, tools
 from virtual import virtual_problems
 
 ROBOTS = HERE / "robots"
 """Numbers of each robot as asbuilt finds it, of which its page is made."""
+SPECIAL = {"legs": legged_problem, "command": commanded_problem}
+"""Kinds of task with a log that is no arm's with torques."""
+ABSENT = "not installed; run with --install"
+"""Note of a row that is printed, but takes the place of no other."""
 LONGEST = 900.0
 """Seconds that a tool may take for one task."""
 
@@ -43,7 +57,7 @@ def answered(tool: Tool, problem: Problem, folder: Path) -> dict[str, Any]:
     if reason is not None:
         return {"cannot": reason}
     if not tool.python.exists():
-        return {"cannot": "not installed; run with --install"}
+        return {"cannot": ABSENT}
     out = folder / f"answers_{tool.name}_{problem.folder.name}"
     out.mkdir(parents=True, exist_ok=True)
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH" or not tool.requires}
@@ -72,13 +86,27 @@ def scored(task: Task, problems: list[Problem], answers: list[dict[str, Any]]) -
                 return {"note": each[key], "failed": key == "failed"}
     found: dict[str, Any] = {"cpu_seconds": sum(each["cpu_seconds"] for each in answers)}
     found["note"] = answers[0].get("note", "")
-    pairs = [
-        torque_errors(
-            _states(problem, k), hidden, answer["torques"][k], _rate(problem), task.cutoff
-        )
-        for problem, answer in zip(problems, answers, strict=True)
-        for k, hidden in enumerate(problem.hidden)
-    ]
+    if task.kind == "command":
+        found["per_motion"] = rollout_errors(problems[0], answers[0]["torques"])
+        return found | {"error": float(np.mean(found["per_motion"]))}
+    if task.kind == "legs":
+        pairs = [projected_errors(problems[0], answers[0]["torques"][0])]
+    else:
+        pairs = [
+            torque_errors(
+                _states(problem, k), hidden, answer["torques"][k], _rate(problem), task.cutoff
+            )
+            for problem, answer in zip(problems, answers, strict=True)
+            for k, hidden in enumerate(problem.hidden)
+        ]
+    if task.kind == "ratio":
+        moments, true = answers[0]["parameters"], task.settings["ratio"]
+        half = len(moments) // 2
+        ratio, spread = weight_ratio(moments[:half], moments[half:])
+        found |= coverage(np.array([(ratio - true) / spread]))
+        found["error"] = abs(ratio / true - 1.0)
+        found["note"] = f"{ratio:.3g} +- {spread:.2g} for {true:.3g}"
+        return found
     if task.kind == "payload":
         weighed, mass = answers[0]["parameters"][0], task.settings["mass"]
         found["error"] = abs(weighed["value"] / mass - 1.0)
@@ -122,6 +150,8 @@ def problems_of(task: Task, data: Path, scratch: Path) -> list[Problem]:
     """Return the prepared problems of a task: one, two halves, or one for each virtual robot."""
     if task.kind == "virtual":
         return virtual_problems(task, scratch)
+    if task.kind in SPECIAL:
+        return [SPECIAL[task.kind](task, data, scratch / "part_0")]
     model, training, test = read_task_logs(task, data, scratch)
     described = task.description
     own = str((data / described).resolve()) if described.startswith("models/") else described
@@ -212,7 +242,8 @@ def main() -> None:
             if details:
                 ROBOTS.mkdir(exist_ok=True)
                 (ROBOTS / f"{name}.json").write_text(json.dumps(_rounded(details, 9)) + "\n")
-            store(row, arguments.results)
+            if row["note"] != ABSENT:
+                store(row, arguments.results)
     if not arguments.no_page:
         write_page(arguments.results)
 

@@ -26,6 +26,17 @@ def torque_errors(
     return np.sqrt(np.mean(error**2, axis=0)), np.sqrt(np.mean(torque**2, axis=0))
 
 
+def weight_ratio(first: list[dict[str, Any]], second: list[dict[str, Any]]) -> tuple[float, float]:
+    """Return the ratio of two weights and its standard error, from their first moments.
+
+    The ratio is that of least squares from the moments of the first weight to those of the second.
+    """
+    a, b = (np.array([each["value"] for each in moments]) for moments in (first, second))
+    of_a, of_b = (np.array([each["error"] ** 2 for each in x]) for x in (first, second))
+    ratio = float(a @ b / (a @ a))
+    return ratio, float(np.sqrt(np.sum(a**2 * (of_b + ratio**2 * of_a))) / (a @ a))
+
+
 def relative_error(pairs: list[tuple[Array, Array]], norm: Norm) -> tuple[float, list[float]]:
     """Return the error of several tests in a norm, and that of each joint.
 

@@ -19,7 +19,7 @@ SHARED = HERE.parents[2] / "shared"
 DOWNLOADED = HERE / ".data"
 RESULTS = HERE / "results.jsonl"
 
-Kind = Literal["torque", "halves", "virtual", "payload", "command"]
+Kind = Literal["torque", "legs", "halves", "virtual", "payload", "ratio", "command"]
 Norm = Literal["torque", "joints"]
 
 

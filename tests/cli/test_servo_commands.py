@@ -71,6 +71,7 @@ def test_a_rollout_proves_the_servo_arm(
     assert picture.stat().st_size < 2_000_000
 
 
+@pytest.mark.study
 def test_a_described_robot_has_a_page_too(
     study: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

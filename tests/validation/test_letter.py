@@ -28,6 +28,7 @@ def test_no_letter_without_an_error(error: float) -> None:
         LETTERS.letter(error)
 
 
+@pytest.mark.study
 def test_a_review_grades_the_description_by_its_torque_alone() -> None:
     """A scaled torque has the error of the description in closed form: `|s - 1| / s`."""
     pin = pytest.importorskip("pinocchio")

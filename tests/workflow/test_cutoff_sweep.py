@@ -53,6 +53,7 @@ def test_too_high_a_cutoff_costs(sweep: CutoffSweep) -> None:
     assert all(trial.in_band < trial.score for trial in sweep.trials)
 
 
+@pytest.mark.study
 def test_sweep_is_printed_with_its_reason(sweep: CutoffSweep) -> None:
     text = sweep.table().as_text(full=True)
     assert "<- chosen" in text

@@ -110,6 +110,7 @@ def test_a_recording_with_errors_is_refused_unless_unchecked(recordings: list[Re
     identify(load_robot("scara"), [recordings[0].flipped()], options=StudyOptions(checked=False))
 
 
+@pytest.mark.study
 def test_options_are_keywords_too(recordings: list[Recording]) -> None:
     """The same numbers as by the option class, texts as on the command line, and near names."""
     model, log = load_robot("scara"), recordings[0]

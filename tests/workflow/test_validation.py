@@ -120,6 +120,7 @@ def test_a_spoilt_recording_is_refused_unless_unchecked(fast: Recording) -> None
     validate(study, fast.flipped(), options=ValidationOptions(checked=False))
 
 
+@pytest.mark.study
 def test_another_description_takes_the_place_of_cad(slow: Recording, slow_study: Study) -> None:
     study = slow_study
     model = load_robot(ARM)

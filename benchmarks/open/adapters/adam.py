@@ -22,9 +22,14 @@ def fit(facts: Facts) -> Fit:
     return Regression(facts, tree_regressor(facts)).weighted_fit()
 
 
-def payload(facts: Facts) -> Estimate:
+def payload(facts: Facts) -> list[Estimate]:
     """Weigh what the last link carries."""
-    return Regression(facts, tree_regressor(facts)).payload()
+    return [Regression(facts, tree_regressor(facts)).payload()]
+
+
+def weights(facts: Facts) -> list[Estimate]:
+    """Return the first moments of what a body carries, log by log."""
+    return Regression(facts, tree_regressor(facts)).moments()
 
 
 def tree_regressor(facts: Facts) -> Any:

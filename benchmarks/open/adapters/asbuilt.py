@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from adapter import Estimate, Facts, Fit
 from plain import Motion
@@ -9,10 +11,30 @@ from plain import Motion
 import asbuilt
 from asbuilt.arrays import Array
 from asbuilt.codec import plain
+from asbuilt.description.model import RobotModel
 from asbuilt.description.sibling import Sibling
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.free_base.columns import (
+    ACCELERATION,
+    ANGULAR,
+    ANGULAR_ACCELERATION,
+    LINEAR,
+    POSITION,
+    QUATERNION,
+    coordinate_rates,
+    on_its_base,
+)
+from asbuilt.experiment.logs.recordings import fitted_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.trajectories.drive_signal import DriveSignal
+from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
+from asbuilt.identification.trajectories.simulated_robot import robot_as_built
+from asbuilt.identification.trajectories.windows import Windows
+from asbuilt.workflow.calibration.payload_study import identify_moments
+from asbuilt.workflow.options import PayloadOptions
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built
 from asbuilt.writers.tables.mass_table import exported_masses
@@ -32,12 +54,66 @@ def recordings(facts: Facts, names: list[str]) -> list[Recording]:
     ]
 
 
-def payload(facts: Facts) -> Estimate:
+def payload(facts: Facts) -> list[Estimate]:
     """Weigh what the flange carries."""
     bare = recordings(facts, facts.training)
     study = asbuilt.identify(asbuilt.load_robot(facts.description), bare)
     found = asbuilt.identify_payload(study, recordings(facts, facts.loaded), unloaded=bare)
-    return Estimate("payload mass", float(found.values[0]), float(found.std_errors[0]))
+    return [Estimate("payload mass", float(found.values[0]), float(found.std_errors[0]))]
+
+
+def weights(facts: Facts) -> list[Estimate]:
+    """Return the first moments of what a link carries, log by log."""
+    bare = recordings(facts, facts.training)
+    study = asbuilt.identify(asbuilt.load_robot(facts.description), bare)
+    carrier = facts.tree_links[facts.settings["carrier"] - 1]
+    options = PayloadOptions(frame=carrier)
+    found = []
+    for log in recordings(facts, facts.loaded):
+        added = identify_moments(study, log, unloaded=bare, options=options)
+        each = zip(added.names, added.values, added.std_errors, strict=True)
+        found += [Estimate(*values) for values in each if values[0] != "m"]
+    return [each for each in found if np.isfinite(each.error)]
+
+
+def follow(facts: Facts) -> list[Array]:
+    """Identify from commands as the how-to does, and simulate the windows of the tests."""
+    known = facts.settings
+    model, (training,) = fitted_recordings(
+        asbuilt.load_robot(facts.description), (commanded(facts, facts.training),)
+    )
+    same = {"same_servos": True} if known.get("same_servos") else {}
+    study = asbuilt.identify(model, training, refine="rollout", **same)
+    servo, found = study.result.servo, []
+    robot = robot_as_built(study.result, servo)
+    for name, log in zip(facts.test, facts.logs(facts.test), strict=True):
+        (recording,) = commanded(facts, [name])
+        signal = DriveSignal.of(replace(recording, servo=servo), "command")
+        length = round(facts.horizon * facts.rate)
+        blank = np.zeros((len(log["start"]), length, len(facts.joints)))
+        windows = Windows(
+            name, facts.horizon, facts.rate, log["start"], blank, log["q"], log["qd"], signal
+        )
+        found.append(simulate_windows(robot.centred(windows.step), windows))
+    return found
+
+
+def commanded(facts: Facts, names: list[str]) -> list[Recording]:
+    """Return logs of commands as recordings."""
+    n, known = len(facts.joints), facts.settings
+    gains = {key: (known.get(key, np.nan),) * n for key in ("kp", "kd")}
+    found = []
+    for name, log in zip(names, facts.logs(names), strict=True):
+        recording = Recording(
+            t=log["t"],
+            q=log["q"] if len(log["q"]) == len(log["t"]) else log["u"],
+            tau=np.zeros(log["u"].shape),
+            joint_names=tuple(facts.joints),
+            source=name,
+            command=log["u"],
+        )
+        found.append(driven_by_command(recording, PositionServo(**gains)))
+    return found
 
 
 def fit(facts: Facts) -> Fit:
@@ -56,6 +132,53 @@ def fit(facts: Facts) -> Fit:
 
     note = f"{result.method}; effects: {', '.join(_named(study)) or 'none'}"
     return Fit(predict, _parameters(result), _links(result), note, _details(study))
+
+
+def fit_legs(facts: Facts) -> Fit:
+    """Identify a robot with a free base with the defaults."""
+    robot = asbuilt.load_robot(facts.description, base="free", contacts=",".join(facts.contacts))
+    study = asbuilt.identify(robot, [_on_base(robot, facts, log) for log in facts.logs()])
+
+    def predict(motion: Motion) -> Array:
+        joints = {"q": motion.q, "qd": motion.qd, "qdd": motion.qdd, "t": motion.t}
+        still = np.zeros((len(motion.t), len(facts.joints)))
+        own = _on_base(robot, facts, joints | {"tau": still, "contact": still})
+        torque = study.result.predict(own.q, own.qd, own.qdd)
+        return np.einsum("tji,tj->ti", _rates_of_twists(own.q), torque)
+
+    note = f"{study.result.method}; effects: {', '.join(_named(study)) or 'none'}"
+    return Fit(predict, links=_links(study.result), note=note)
+
+
+def _on_base(robot: RobotModel, facts: Facts, log: dict[str, Array]) -> Recording:
+    """Return a log of a free base, its columns as those of a file."""
+    base = {
+        "q": (*POSITION, *QUATERNION),
+        "qd": (*LINEAR, *ANGULAR),
+        "qdd": (*ACCELERATION, *ANGULAR_ACCELERATION),
+    }
+    extra = {name: log[key][:, k] for key, names in base.items() for k, name in enumerate(names)}
+    extra |= {f"contact_{name}": log["contact"][:, k] for k, name in enumerate(facts.contacts)}
+    joints = {key: log[key][:, len(names) :] for key, names in base.items()}
+    recording = Recording(
+        t=log["t"],
+        tau=log["tau"],
+        joint_names=tuple(facts.joints),
+        torque_source=facts.torque_source,
+        source="log",
+        extra=extra,
+        **joints,
+    )
+    return on_its_base(recording, robot)
+
+
+def _rates_of_twists(q: Array) -> Array:
+    """Return what takes velocities in base axes to rates of the coordinates, (N, n, n)."""
+    found = np.tile(np.eye(q.shape[1]), (len(q), 1, 1))
+    for k, axis in enumerate(np.eye(6)):
+        v, w = np.tile(axis[:3], (len(q), 1)), np.tile(axis[3:], (len(q), 1))
+        found[:, :6, k] = coordinate_rates(q, v, w)
+    return found
 
 
 def _named(study: Study) -> list[str]:

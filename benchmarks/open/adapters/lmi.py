@@ -14,6 +14,7 @@ import cvxpy as cp
 import numpy as np
 import pinocchio as pin
 from adapter import Facts, Fit
+from flyer import Flyer, described
 from pinocchio_regressor import FROM_PINOCCHIO, tree_regressor
 from regression import Regression
 
@@ -26,13 +27,22 @@ WEIGHT = 1e-4
 
 def fit(facts: Facts) -> Fit:
     """Identify consistent links."""
-    regression = Regression(facts, tree_regressor(facts))
-    W, tau = regression.stacked(facts.plain())
-    w = regression.weights(W, tau)
-    R = np.linalg.qr(np.column_stack([W * w[:, None], tau * w]), mode="r")
     model = pin.buildModelFromUrdf(facts.urdf)
     joints = [model.getJointId(name) for name in facts.tree_joints]
     cad = np.array([model.inertias[j].toDynamicParameters()[FROM_PINOCCHIO] for j in joints])
+    return consistent_fit(Regression(facts, tree_regressor(facts)), cad)
+
+
+def fit_legs(facts: Facts) -> Fit:
+    """Identify consistent links of a robot with a free base."""
+    return consistent_fit(Flyer(facts), described(facts))
+
+
+def consistent_fit(regression: Regression, cad: Any) -> Fit:
+    """Return the consistent links (n, 10) that fit best near those of the description."""
+    W, tau = regression.stacked(regression.facts.plain())
+    w = regression.weights(W, tau)
+    R = np.linalg.qr(np.column_stack([W * w[:, None], tau * w]), mode="r")
     x = cp.Variable(W.shape[1])
     constraints, distance = [], 0.0
     for k, prior in enumerate(cad):

@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 from adapter import Estimate, Facts, Fit
 from mujoco import sysid
-from plain import Motion
+from mujoco_rollout import STEP, simulated, without_limits
+from plain import Motion, plain_motion, uniform
 
 PACKAGE = "mujoco"
 REQUIRES = ["mujoco[sysid]>=4.0", "scipy"]
@@ -22,13 +23,15 @@ ADDRESS = "https://github.com/google-deepmind/mujoco/tree/main/python/mujoco/sys
 ROWS = 500
 """Samples of all logs; each costs an inverse dynamics for each of some ninety parameters."""
 ITERATIONS = 30
+WINDOWS = 60
+"""Windows of training that are simulated, evenly from all."""
 
 
 def fit(facts: Facts) -> Fit:
     """Identify by nonlinear least squares."""
     if facts.coupling is not None:
         raise NotImplementedError("no coupling of several joints with one motor in this adapter")
-    spec = specification(facts)
+    spec = specification(facts, facts.urdf)
     model = spec.compile()
     motions = facts.plain()
     motion = thinned(motions, ROWS)
@@ -71,14 +74,74 @@ def fit(facts: Facts) -> Fit:
     )
 
 
-def specification(facts: Facts) -> Any:
-    """Return the robot as MuJoCo reads its URDF, without limits and contacts."""
-    spec = mujoco.MjSpec.from_file(facts.urdf)
+def follow(facts: Facts) -> list[Any]:
+    """Identify from commands by trajectories, and simulate the windows of the tests."""
+    spec = specification(facts, facts.description)
+    spec.option.timestep = STEP
+    for name in facts.joints:
+        kind, joint = mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtObj.mjOBJ_JOINT
+        spec.add_sensor(name=name, type=kind, objtype=joint, objname=name)
+    model, parameters = spec.compile(), sysid.ParameterDict()
+    for key in ("damping", "frictionloss", "armature"):
+        for name in facts.joints:
+            start = float(getattr(model.joint(name), key)[0])
+            top = max(10.0 * start, 0.1)
+            parameters.add(parameter(f"{key}_{name}", start, 0.0, top, name, key))
+    if "kp" not in facts.settings:
+        parameters.add(stiffness(facts.joints, float(model.actuator_gainprm[0, 0])))
+    windows = [window for log in facts.logs() for window in training_windows(facts, log)]
+    chosen = np.linspace(0, len(windows) - 1, min(WINDOWS, len(windows))).astype(int)
+    sequences = sysid.ModelSequences(
+        "robot",
+        spec,
+        [f"window_{k}" for k in chosen],
+        [sysid.create_initial_state(model, *windows[k][:2]) for k in chosen],
+        [series(facts, windows[k][2], model, "control") for k in chosen],
+        [series(facts, windows[k][3], model, "sensor") for k in chosen],
+    )
+    residual = sysid.build_residual_fn(models_sequences=[sequences], n_threads=1)
+    found, _ = sysid.optimize(parameters, residual, verbose=False, max_iters=ITERATIONS)
+    model = sysid.apply_param_modifiers(found, spec)
+    return [simulated(facts, model, log) for log in facts.logs(facts.test)]
+
+
+def stiffness(joints: list[str], start: float) -> Any:
+    """Return the stiffness of servos that are all alike."""
+
+    def modifier(spec: Any, param: Any) -> None:
+        for name in joints:
+            sysid.apply_pgain(spec, name, float(param.value[0]))
+
+    return sysid.Parameter("kp", start, 0.1, 10.0 * start, modifier=modifier)
+
+
+def training_windows(facts: Facts, log: dict[str, Any]) -> list[tuple[Any, ...]]:
+    """Return state at the start, command and positions of windows one after another."""
+    states = plain_motion(log["t"], log["q"], None, facts.rate, facts.cutoff)
+    inner, length = states.inner(), round(facts.horizon * facts.rate)
+    command, q = (uniform(log["t"], log[key], states.t) for key in ("u", "q"))
+    return [
+        (states.q[k], states.qd[k], command[k : k + length], q[k : k + length])
+        for k in range(inner.start, inner.stop - length, length)
+    ]
+
+
+def series(facts: Facts, values: Any, model: Any, kind: str) -> Any:
+    """Return columns at the rate of the logs as its time series."""
+    series = sysid.TimeSeries
+    maps = {
+        "control": series.compute_all_control_mapping,
+        "sensor": series.compute_all_sensor_mapping,
+    }
+    return series(np.arange(len(values)) / facts.rate, values, maps[kind](model))
+
+
+def specification(facts: Facts, path: str) -> Any:
+    """Return the robot as MuJoCo reads it, without limits and contacts."""
+    spec = mujoco.MjSpec.from_file(path)
     spec.compiler.balanceinertia, spec.compiler.boundinertia = True, 1e-6
     spec.option.gravity = facts.gravity
-    spec.option.disableflags |= int(
-        mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    )
+    without_limits(spec)
     for name in facts.joints:
         joint = spec.joint(name)
         joint.solref_friction = [0.002, 1.0]

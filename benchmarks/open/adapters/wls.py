@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from adapter import Estimate, Facts, Fit
+from flyer import Flyer
 from pinocchio_regressor import tree_regressor
 from regression import Regression
 
@@ -17,6 +18,16 @@ def fit(facts: Facts) -> Fit:
     return Regression(facts, tree_regressor(facts)).weighted_fit()
 
 
-def payload(facts: Facts) -> Estimate:
+def payload(facts: Facts) -> list[Estimate]:
     """Weigh what the last link carries."""
-    return Regression(facts, tree_regressor(facts)).payload()
+    return [Regression(facts, tree_regressor(facts)).payload()]
+
+
+def weights(facts: Facts) -> list[Estimate]:
+    """Return the first moments of what a body carries, log by log."""
+    return Regression(facts, tree_regressor(facts)).moments()
+
+
+def fit_legs(facts: Facts) -> Fit:
+    """Identify base parameters of a robot with a free base."""
+    return Flyer(facts).weighted_fit()

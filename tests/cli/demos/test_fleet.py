@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from asbuilt.cli.demos.fleet import (
     CHANGED,
     fleet_demo_document,
@@ -15,6 +17,7 @@ from asbuilt.codec import json_text
 from command_line import documented_fields
 
 
+@pytest.mark.study
 def test_the_robot_that_changed_stands_out(tmp_path: Path) -> None:
     demo = run_fleet_demo(tmp_path, robots=(CHANGED - 1, CHANGED), days=7)
     assert not demo.addition.failed

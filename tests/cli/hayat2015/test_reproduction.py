@@ -111,6 +111,7 @@ def test_table_3_of_the_virtual_robot_shows_the_papers_conclusion(redone: Reprod
     assert np.all(full.metrics_as_built.rms < 0.7 * rigid.metrics_as_built.rms)
 
 
+@pytest.mark.study
 def test_text_fits_a_screen_and_every_table_and_figure_is_written(
     redone: Reproduction, tmp_path: Path
 ) -> None:

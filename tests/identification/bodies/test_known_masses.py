@@ -103,6 +103,7 @@ def test_the_robot_as_built_has_the_weighed_mass(arm, log, method):
     np.testing.assert_allclose(masses(again), found, rtol=1e-9)
 
 
+@pytest.mark.study
 def test_limits_far_from_cad_hold(arm, log):
     """Known masses replace the wide bounds of their links, which begin at 0.05 of CAD."""
     limits = dict.fromkeys(arm.link_names[:2], (0.0, 0.02))
@@ -113,6 +114,7 @@ def test_limits_far_from_cad_hold(arm, log):
     assert not any(label.startswith(("m1", "m2")) for label in wide_bounds(prior).labels)
 
 
+@pytest.mark.study
 def test_a_bound_that_the_fit_reaches_is_kept_by_the_robot_as_built(arm):
     """A tilt that nothing describes drives the consistent fit to the edge of wide bounds."""
     motion = random_fourier(arm, rng=2, duration=10.0)

@@ -231,7 +231,7 @@ def scaled(samples: Samples, factors: np.ndarray) -> Samples:
     return replace(samples, tau=samples.tau * factors, torque_source="current")
 
 
-@pytest.fixture(scope="module", params=("ur10e", "kuka-iiwa7-r800"))
+@pytest.fixture(scope="module", params=("ur10e",))
 def by_current(request: pytest.FixtureRequest) -> tuple[VirtualRobot, Samples, Samples, str]:
     robot = arm_of(request.param, 0.1)
     frame, _, _ = payload_frame(robot.model)

@@ -95,6 +95,7 @@ def test_textbook_errors_stay_and_a_right_model_lacks_nothing() -> None:
     assert find_effects(MODEL, RICHER, [data], applied=()).lacking is None
 
 
+@pytest.mark.study
 def test_the_error_of_a_tilt_in_the_model_is_that_of_the_parameters_too() -> None:
     """Parameters scatter over noise by the part of a tilt that every log finds anew."""
     model, drive = bundled_robot("scara"), DriveSet.parse("viscous,coulomb,offset")

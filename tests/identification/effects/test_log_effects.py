@@ -83,7 +83,9 @@ def drifting(joint: int, by: float) -> Fault:
     )
 
 
-@pytest.mark.parametrize("name", ["ur10e", "franka-panda", "scara"])
+@pytest.mark.parametrize(
+    "name", ["ur10e", pytest.param("franka-panda", marks=pytest.mark.study), "scara"]
+)
 def test_a_right_log_has_no_errors(name: str) -> None:
     assert found(name) == ()
 
@@ -92,13 +94,9 @@ def test_a_right_log_has_no_errors(name: str) -> None:
     ("name", "factor"),
     [
         ("ur10e", 1.05),
-        ("ur10e", 0.5),
-        ("ur10e", 2.0),
-        pytest.param("franka-panda", 0.5, marks=pytest.mark.study),
+        pytest.param("ur10e", 0.5, marks=pytest.mark.study),
         pytest.param("franka-panda", 2.0, marks=pytest.mark.study),
-        ("kuka-iiwa7-r800", 0.9),
         pytest.param("kuka-iiwa7-r800", 10.0, marks=pytest.mark.study),
-        pytest.param("ur10e", 2.5, marks=pytest.mark.study),
     ],
 )
 def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:
@@ -110,7 +108,7 @@ def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:
 
 @pytest.mark.parametrize(
     ("name", "joint", "by"),
-    [("ur10e", 1, 0.035), ("ur10e", 3, -0.05), ("franka-panda", 3, 0.035)],
+    [("ur10e", 3, -0.05), pytest.param("franka-panda", 3, 0.035, marks=pytest.mark.study)],
 )
 def test_a_wrong_zero_position_is_measured(name: str, joint: int, by: float) -> None:
     error = found(name, zero_off(joint, by))[0]
@@ -120,7 +118,8 @@ def test_a_wrong_zero_position_is_measured(name: str, joint: int, by: float) -> 
 
 
 @pytest.mark.parametrize(
-    ("name", "joint", "factor"), [("ur10e", 1, 0.9), ("franka-panda", 3, 1.15), ("scara", 1, 0.85)]
+    ("name", "joint", "factor"),
+    [("ur10e", 1, 0.9), pytest.param("franka-panda", 3, 1.15, marks=pytest.mark.study)],
 )
 def test_a_wrong_gain_is_measured(name: str, joint: int, factor: float) -> None:
     error = found(name, gain(joint, factor))[0]
@@ -130,7 +129,7 @@ def test_a_wrong_gain_is_measured(name: str, joint: int, factor: float) -> None:
 
 @pytest.mark.parametrize(
     ("name", "joint", "tilt"),
-    [("franka-panda", 1, 0.03), ("kuka-iiwa7-r800", 1, 0.1), ("ur10e", 1, 0.2)],
+    [("franka-panda", 1, 0.03), ("ur10e", 1, 0.2)],
 )
 @pytest.mark.study
 def test_gains_are_sought_on_the_tilted_robot(name: str, joint: int, tilt: float) -> None:
@@ -148,7 +147,7 @@ def test_a_dead_sensor_is_named() -> None:
     assert codes["torque_does_not_follow"].joint == model.joint_names[2]
 
 
-@pytest.mark.parametrize(("name", "joint"), [("ur10e", 1), ("ur10e", 2)])
+@pytest.mark.parametrize(("name", "joint"), [("ur10e", 1)])
 def test_a_saturated_torque_is_named(name: str, joint: int) -> None:
     errors = found(name, saturating(joint, 0.6))
     assert ("saturation", bundled_robot(name).joint_names[joint]) in [
@@ -170,11 +169,7 @@ def findings(name: str, recording: Recording) -> dict[str, Finding]:
     ("name", "joint", "part"),
     [
         ("ur10e", 1, 0.7),
-        ("ur10e", 2, 0.5),
-        ("franka-panda", 3, 0.85),
-        ("puma-560", 1, 0.7),
-        pytest.param("franka-panda", 1, 0.7, marks=pytest.mark.study),
-        pytest.param("kuka-iiwa7-r800", 1, 0.7, marks=pytest.mark.study),
+        pytest.param("franka-panda", 3, 0.85, marks=pytest.mark.study),
         pytest.param("kuka-iiwa7-r800", 3, 0.5, marks=pytest.mark.study),
         pytest.param("puma-560", 2, 0.7, marks=pytest.mark.study),
     ],
@@ -207,16 +202,13 @@ def test_friction_at_constant_speed_is_no_saturation() -> None:
     assert plateaus(model, DRIVE, [samples]) == ()
 
 
-@pytest.mark.parametrize(
-    ("name", "unseen"), [("ur10e", False), ("franka-panda", True), ("scara", True)]
-)
+@pytest.mark.parametrize(("name", "unseen"), [("ur10e", False), ("scara", True)])
 def test_a_log_that_shows_no_error_of_the_clock_says_so(name: str, unseen: bool) -> None:
     found = findings(name, logged(bundled_robot(name)))
     assert {code for code in found if not code.endswith("_unseen")} == set()
     assert ("clock_unseen" in found) == unseen
     if unseen:
-        whole = "of any size" if name == "scara" else "below"
-        assert whole in found["clock_unseen"].message
+        assert "of any size" in found["clock_unseen"].message
 
 
 @pytest.mark.study
@@ -241,6 +233,7 @@ def test_a_drifting_sensor_is_measured() -> None:
     assert error.estimate == pytest.approx(8.0, abs=4.0 * error.std_error)
 
 
+@pytest.mark.study
 def test_the_cure_of_a_zero_position_is_a_field_of_a_sheet() -> None:
     said = findings("ur10e", logged(bundled_robot("ur10e"), zero_off(1, 0.035)))
     finding = said["zero_position_wrong"]

@@ -153,6 +153,7 @@ def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, m
     assert np.sqrt(np.mean(np.square(alone))) > 1.4
 
 
+@pytest.mark.study
 def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
     model, samples = bundled_robot("scara"), samples_of("scara", "power")
     found = [

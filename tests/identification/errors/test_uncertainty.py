@@ -61,6 +61,7 @@ def coloured(rng, shape, keep=0.9):
     return e
 
 
+@pytest.mark.study
 def test_white_noise_leaves_the_textbook_error_about_as_it_is(experiment):
     honest, textbook, effective = scatter(experiment, white, 30, 80.0 / BLOCKS)
     assert np.mean(textbook**2) == pytest.approx(1.0, abs=0.25)
@@ -69,6 +70,7 @@ def test_white_noise_leaves_the_textbook_error_about_as_it_is(experiment):
     assert effective.mean() > 0.6 * len(experiment[2])
 
 
+@pytest.mark.study
 def test_coloured_noise_makes_the_textbook_error_too_small_but_not_the_honest_one(experiment):
     honest, textbook, effective = scatter(experiment, coloured, 30, 80.0 / BLOCKS)
     assert np.mean(textbook**2) > 2.0

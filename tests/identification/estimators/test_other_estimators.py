@@ -178,6 +178,7 @@ def noisy_motion(robot, seed, noise=0.001):
     return replace(exact, q=q, qd=qd, qdd=qdd, tau=tau, tau_raw=np.empty((0, 0)))
 
 
+@pytest.mark.study
 def test_instruments_take_most_of_the_bias_that_noise_in_the_motion_causes(robot):
     _, base, beta = robot
     bias = {"wls": [], "iv": []}

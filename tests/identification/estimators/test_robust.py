@@ -85,6 +85,7 @@ def test_collisions_move_robust_fits_much_less(robot, clean, struck):
     assert errors["auto"] < 0.5 * errors["wls"]
 
 
+@pytest.mark.study
 def test_robust_standard_errors_are_those_of_repeated_experiments(robot):
     model, base, beta = robot
     found, stated = [], []

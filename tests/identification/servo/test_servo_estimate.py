@@ -189,6 +189,7 @@ def sought(recording):
     return estimated(recording, servo)
 
 
+@pytest.mark.study
 def test_a_limit_of_the_goal_is_found_and_counts():
     recording = limited_recording(20.0)
     found = sought(recording)

@@ -78,6 +78,7 @@ def test_too_few_independent_samples_are_said_to_be_too_few() -> None:
     assert CAUSES["friction"] in said
 
 
+@pytest.mark.study
 def test_sizes_are_those_of_the_causes() -> None:
     said = " ".join(attribute(identified(ARM, "p")).findings)
     assert "carries 1.9" in said

@@ -112,6 +112,7 @@ def test_channels_are_those_of_samples_prepared_by_one_chain(bare: Recording) ->
         identify_channels(ARM, [sensor, sensor], motor)
 
 
+@pytest.mark.study
 def test_channels_whose_rows_repeat_at_different_instants_run_together() -> None:
     model = load_robot("ur10e")
     trajectory = random_fourier(model, 3, duration=20.0).sample(200.0)

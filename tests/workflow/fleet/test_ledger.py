@@ -101,6 +101,7 @@ def test_the_same_bytes_for_any_number_of_workers_and_any_order(
     assert content_of(tmp_path / "one by one") == content_of(filled)
 
 
+@pytest.mark.study
 def test_the_same_bytes_after_a_crash(filled: Path, logs: list[Path], tmp_path: Path) -> None:
     """The command is killed as soon as the first entry is there."""
     ledger = tmp_path / "ledger"

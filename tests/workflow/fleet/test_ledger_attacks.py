@@ -127,6 +127,7 @@ def test_an_entry_that_is_no_table_is_named_and_skipped(content: bytes, ledger: 
     ) == 1
 
 
+@pytest.mark.study
 def test_an_entry_that_unpacks_to_gigabytes_costs_little(ledger: Path, tmp_path: Path) -> None:
     """In this process; the other that unpacks it has a limit of its own."""
     resource = pytest.importorskip("resource")
@@ -309,7 +310,7 @@ def test_the_second_of_two_first_writers_without_wishes_takes_the_first_ones_set
 def test_two_commands_that_begin_at_once_leave_one_set_of_settings(
     logs: list[Path], tmp_path: Path
 ) -> None:
-    for turn in range(3):
+    for turn in range(2):
         ledger = tmp_path / str(turn)
         command = [sys.executable, "-m", "asbuilt", "fleet", "add", str(ledger), "two-link"]
         started = [

@@ -22,14 +22,13 @@ from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from asbuilt.writers.recording_files import write_recording
 
-ROBOTS = ("two-link", "scara", "ur10e")
+ROBOTS = ("two-link", "ur10e")
 METHODS = sorted(name for name in methods if methods[name].needs == "information")
 ON_LARGER = ("consistent", "wls")
 """Methods that are tried on every robot; the others read the ledger as these do."""
 CASES = [
     *((ROBOTS[0], method) for method in METHODS),
-    *((ROBOTS[1], method) for method in ON_LARGER),
-    *(pytest.param(ROBOTS[2], method, marks=pytest.mark.study) for method in ON_LARGER),
+    *(pytest.param(ROBOTS[1], method, marks=pytest.mark.study) for method in ON_LARGER),
 ]
 
 

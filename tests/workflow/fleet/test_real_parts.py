@@ -85,6 +85,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     server.stop()
 
 
+@pytest.mark.study
 def test_a_ledger_in_an_object_store_is_the_same(
     filled: Path, logs: list[Path], bucket: str
 ) -> None:

@@ -72,7 +72,13 @@ def test_every_format_is_tried(form: str) -> None:
     assert form in ROBOTS
 
 
-@pytest.mark.parametrize("form", sorted(ROBOTS))
+@pytest.mark.parametrize(
+    "form",
+    [
+        pytest.param(each, marks=[pytest.mark.study] if each in ("csv", "franka") else [])
+        for each in sorted(ROBOTS)
+    ],
+)
 def test_the_code_is_that_of_plain_names(form: str) -> None:
     _, plain = made(form, "arm")
     for name in HOSTILE:

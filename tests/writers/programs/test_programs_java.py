@@ -276,6 +276,7 @@ def relative(line: str, letter: str) -> float:
     ("answer", "override", "log"),
     [("1", 0.1, "spline_dry_run_log.txt"), ("2", 1.0, "spline_log.txt")],
 )
+@pytest.mark.study
 def test_spline_passes_the_points_of_the_motion_at_its_speeds(
     classes: Path, answer: str, override: float, log: str
 ) -> None:

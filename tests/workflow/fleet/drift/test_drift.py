@@ -78,6 +78,7 @@ def drift(ledger: Path) -> FleetDrift:
     return fleet_drift(ledger)
 
 
+@pytest.mark.study
 def test_the_robots_that_changed_are_named_and_dated(drift: FleetDrift) -> None:
     assert {each.id for each in drift.changed} == {"R1", "R2"}
     for each in drift.changed:

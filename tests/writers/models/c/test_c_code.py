@@ -98,12 +98,12 @@ def check_compiles(folder: Path, model: RobotModel) -> Compiled:
     return compiled
 
 
-@pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "franka-panda", "scara", "two-link"])
+@pytest.mark.parametrize("name", ["franka-panda", "scara"])
 def test_bundled_robots(name: str, tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(bundled_robot(name), 3))
 
 
-@pytest.mark.parametrize("name", ["lbrstack_med7.urdf", "xarm7.urdf", "mjcf_iiwa14.xml"])
+@pytest.mark.parametrize("name", ["lbrstack_med7.urdf", "mjcf_iiwa14.xml"])
 def test_descriptions_of_strangers(shared: Path, name: str, tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(load_robot(shared / "models" / name), 4))
 
@@ -194,14 +194,14 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("key", [*available_terms()])
 def test_every_term_of_the_catalogue_is_written(key: str, tmp_path: Path) -> None:
-    model = replace(bundled_robot("ur10e"), motor_coupling=np.eye(6) + np.eye(6, k=-1))
+    model = replace(bundled_robot("two-link"), motor_coupling=np.eye(2) + np.eye(2, k=-1))
     drive = DriveSet((available_terms()[key],))
-    values = np.random.default_rng(0).uniform(0.1, 1.0, 6 * drive.columns_per_joint)
+    values = np.random.default_rng(0).uniform(0.1, 1.0, 2 * drive.columns_per_joint)
     compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)
     q, qd, qdd = sample_states(model, 5)
     load = inverse_dynamics(model, q, qd, qdd)
     expected = load + drive_torque(drive, values, q, qd, qdd, load=load, shares=model.motor_shares)
-    tau = compiled.call("inverse_dynamics", 6)
+    tau = compiled.call("inverse_dynamics", 2)
     np.testing.assert_allclose(
         [tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-9
     )
