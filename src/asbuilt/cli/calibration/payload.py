@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from asbuilt import PayloadOptions, ReadingOptions
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -21,8 +22,6 @@ from asbuilt.cli.arguments.options import (
     read_result,
     recordings_of,
 )
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.workflow.options import PayloadOptions
 from asbuilt.writers.files import path_texts
 
 
