@@ -26,7 +26,6 @@ from asbuilt.cli.arguments.options import (
     Unchecked,
     described_robot,
     distinct_logs,
-    read_result,
     recordings_of,
     refuse_idle,
     refuse_sharing,
@@ -211,7 +210,7 @@ def validate(
                 result, log, options, reading, out, animation, shared, full=full, as_json=as_json
             )
         return
-    identified = read_result(Path(result))
+    identified = asbuilt.read_result(Path(result))
     if options.chain is not None and filtering.delay is None and identified.chain is not None:
         kept = replace(options.chain, delay=identified.chain.delay)
         options = replace(options, chain=kept)
@@ -353,7 +352,7 @@ def compare(
 
     What differs, what that costs in torque, which causes explain it; or two results of one robot.
     """
-    identified, files = read_result(result), {}
+    identified, files = asbuilt.read_result(result), {}
     if sum(choice is not None for choice in (cad, other, controller)) > 1:
         raise UsageError(
             "--cad, --with and --controller are three different comparisons; give one of them"
@@ -382,7 +381,7 @@ def compare(
 
     drift: Drift | ControllerComparison | None = None
     if other is not None:
-        later, names = read_result(other), (str(result), str(other))
+        later, names = asbuilt.read_result(other), (str(result), str(other))
         drift = asbuilt.compare_results(identified, later, labels=names)
     elif recording is not None:
         judged = ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked)

@@ -16,7 +16,6 @@ from asbuilt.cli.arguments.options import (
     Out,
     Result,
     distinct_logs,
-    read_result,
     recordings_of,
 )
 from asbuilt.cli.arguments.timelines import TimelineFiles
@@ -55,7 +54,7 @@ def watch(
     if calibrate and thresholds is not None:
         raise UsageError("--thresholds and --calibrate exclude each other; give one of them")
     distinct_logs([log], calibrate)
-    identified = read_result(result)
+    identified = asbuilt.read_result(result)
     given = None if thresholds is None else asbuilt.read_thresholds(thresholds)
     with progress_bar() as report:
         report("read", 0.0)

@@ -19,7 +19,6 @@ from asbuilt.cli.arguments.options import (
     Full,
     Robot,
     described_robot,
-    read_result,
     refuse_both,
     refuse_idle,
     refuse_sharing,
@@ -115,7 +114,7 @@ def excite(
     )
 
     if given is not None:
-        known = read_result(given)
+        known = asbuilt.read_result(given)
         if known.model.joint_names != model.joint_names:
             raise UsageError(f"{given} belongs to {known.robot}, not to {model.name}")
         model, base, prior = known.model, known.base, known_information(known)

@@ -29,7 +29,6 @@ from asbuilt.cli.arguments.options import (
     Scheduler,
     Seed,
     described_robot,
-    read_result,
     refuse_idle,
     refuse_sharing,
     robot_as_built,
@@ -88,7 +87,7 @@ def show(
             "--contacts": contacts is not None,
         },
     )
-    result = read_result(Path(robot))
+    result = asbuilt.read_result(Path(robot))
     from asbuilt.writers.models.as_built import as_built_model
     from asbuilt.writers.tables.mass_table import exported_masses, mass_table
 
@@ -351,14 +350,17 @@ def export(
             | {"--force": force, "--to": bool(to), "--observer": observer is not None},
         )
         with shared_work(workers, scheduler) as shared:
-            _export_ensemble(read_result(result), ensemble, "urdf" if bare else "mjcf", seed, out,
-                             shared, full=full, as_json=as_json)  # fmt: skip
+            models: Literal["mjcf", "urdf"] = "urdf" if bare else "mjcf"
+            _export_ensemble(
+                asbuilt.read_result(result), ensemble, models, seed, out, shared, full=full,
+                as_json=as_json,
+            )  # fmt: skip
         return
     refuse_sharing("only the draws of an ensemble are shared", workers, scheduler)
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
-    places, identified = _places(to or []), read_result(result)
+    places, identified = _places(to or []), asbuilt.read_result(result)
 
     exported = asbuilt.export_result(
         identified,

@@ -305,12 +305,7 @@ def robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotMode
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
     from asbuilt.writers.models.as_built import as_built_model
 
-    return as_built_model(read_result(Path(robot)))
-
-
-def read_result(path: Path) -> asbuilt.IdentificationResult:
-    """Read a result file; raises `ResultError` if it cannot be read."""
-    return asbuilt.read_result(path)
+    return as_built_model(asbuilt.read_result(Path(robot)))
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
@@ -361,7 +356,6 @@ def recordings_of(
             "--contacts": reading.contacts is not None,
         },
     )
-
     return asbuilt.as_recordings(model, logs or [], reading)  # type: ignore[return-value]
 
 

@@ -30,13 +30,10 @@ from asbuilt import (
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.design.multistart import SearchProgress
 from asbuilt.excitation.motions.motion import Motion
-from asbuilt.experiment.virtual.data_logger import DataLogger
+from asbuilt.experiment import DataLogger, SimulatedRecording, VirtualRobot
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
-from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording, VirtualRobot
 from asbuilt.tables import Column, Table, share, significant, stacked, wrapped
-from asbuilt.validation.attribution.attribution import Attribution, attribute
-from asbuilt.validation.prediction import Validation
-from asbuilt.validation.recovery import Recovery, compare_with_truth
+from asbuilt.validation import Attribution, Recovery, Validation, attribute, compare_with_truth
 from asbuilt.writers.files import path_texts
 from asbuilt.writers.models.export import Export, export_result
 from asbuilt.writers.recording_files import simulate_document, write_simulation

@@ -30,8 +30,7 @@ from asbuilt.cli.hayat2015.virtual_robot import (
     record_virtual_robot,
     simulation_motion,
 )
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
+from asbuilt.description import DHRow, bundled_robot, robot_from_dh
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.identification.bodies.consistency import consistency_margin
 from asbuilt.validation.prediction import Validation, validate_samples

@@ -14,12 +14,14 @@ import numpy as np
 
 from asbuilt import DriveSet, LinkInertia, Recording, RobotModel, simulate_recording
 from asbuilt.arrays import Array
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.concatenated import Concatenated
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.spline import SplineMotion
+from asbuilt.excitation import (
+    Concatenated,
+    Motion,
+    MotionBounds,
+    PointToPointMotion,
+    QuinticMotion,
+    SplineMotion,
+)
 from asbuilt.experiment.virtual.sensors import SensorNoise
 
 SEED = 2015
