@@ -252,9 +252,9 @@ class Filtering:
         """Which of these options were given, by name."""
         return given_options(self)
 
-    def chain(self) -> asbuilt.SignalChainnalChain:
+    def chain(self) -> asbuilt.SignalChain:
         """Return the named signal chain, with the cutoff and decimation given."""
-        chain = asbuilt.SignalChainnalChain.preset(self.preset)
+        chain = asbuilt.SignalChain.preset(self.preset)
         cutoff = chain.cutoff if self.cutoff is None else positive_number("--cutoff", self.cutoff)
         return replace(
             chain,
