@@ -393,7 +393,7 @@
     offered = answer.effects.concat(old);
     const list = element("effects");
     list.textContent = "";
-    if (!offered.length) make(list, "li", {}, "").append("Nothing: the recordings show no effect that the description lacks.");
+    if (!offered.length) make(list, "li", { class: "none" }, "").append("Nothing: the recordings show no effect that the description lacks.");
     const widest = Math.max(...offered.map((each) => Math.max(each.error_before || 0, each.error_after || 0)), 1e-9);
     const boxes = offered.map((each) => {
       const row = make(list, "li", {});
