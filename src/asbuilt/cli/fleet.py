@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import FleetIdentification, FleetOptions, ReadingOptions, StudyOptions, UsageError
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import AsJson, Filtering, Full, Logs, Out, Robot, Unchecked
-from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.workflow.fleet.options import FleetIdentification, FleetOptions
-from asbuilt.workflow.options import StudyOptions
 
 if TYPE_CHECKING:
     from asbuilt.workflow.fleet.reduction.add import Addition
@@ -81,13 +79,12 @@ def add(
     if (id is None) == (id_from is None):
         raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
     asked = _asked(drive, unchecked, filtering)
-    from asbuilt.workflow.fleet.reduction.add import add_logs
     from asbuilt.workflow.fleet.reduction.add import id_from as identity_from
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
     identity = id if id is not None else identity_from(str(id_from))
     with progress_bar() as report:
-        done = add_logs(
+        done = asbuilt.add_logs(
             ledger,
             robot,
             log,
@@ -132,10 +129,9 @@ def rebuild(
     logs that are not given are left out of the ledger from then on.
     """
     asked = _asked(drive, unchecked, filtering)
-    from asbuilt.workflow.fleet.reduction.rebuild import rebuild_ledger
 
     with progress_bar() as report:
-        done = rebuild_ledger(
+        done = asbuilt.rebuild_ledger(
             ledger,
             log,
             reading=reading,
@@ -159,13 +155,10 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
-    from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-
-    opened = open_ledger(ledger)
-    from asbuilt.workflow.fleet.overview import fleet_overview
+    opened = asbuilt.open_ledger(ledger)
     from asbuilt.writers.tables.fleet_tables import overview_text
 
-    seen = fleet_overview(opened, thorough=thorough)
+    seen = asbuilt.fleet_overview(opened, thorough=thorough)
     answer(as_json, seen.as_document, lambda: overview_text(seen, finding_text, full=full))
 
 
@@ -185,10 +178,7 @@ def identify(
     The parameters are those of `asbuilt identify` on the same logs with the same method, chain and
     drive terms.
     """
-    from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-
-    opened = open_ledger(ledger)
-    from asbuilt.workflow.fleet.identification import fleet_identify
+    opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
     from asbuilt.writers.reports.study_files import (
         study_document,
@@ -197,7 +187,7 @@ def identify(
     )
 
     first, last = (None if text is None else parse_date(text) for text in (since, until))
-    study = fleet_identify(opened, id, since=first, until=last, options=options)
+    study = asbuilt.fleet_identify(opened, id, since=first, until=last, options=options)
     files, notes = write_study_without_samples(out, study) if out is not None else ({}, {})
     answer(
         as_json,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
 from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import AsJson, Full, writable_folder
 from asbuilt.cli.fleet import LedgerPlace
@@ -34,16 +35,13 @@ def drift(
 
     Natural variation from day to day is estimated from all robots of a type.
     """
-    from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-
-    opened = open_ledger(ledger)
-    from asbuilt.workflow.fleet.drift.drift import fleet_drift
+    opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
     from asbuilt.writers.tables.drift_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as report:
-        found = fleet_drift(opened, since=first, options=options, progress=report)
+        found = asbuilt.fleet_drift(opened, since=first, options=options, progress=report)
     answer(as_json, found.as_document, lambda: drift_text(found, finding_text, full=full))
 
 
@@ -65,18 +63,14 @@ def report(
 
     The page needs no server and no network.
     """
-    from asbuilt.workflow.fleet.ledger.ledger import open_ledger
-
-    opened = open_ledger(ledger)
-    from asbuilt.workflow.fleet.drift.drift import fleet_drift
+    opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.reports.fleet_report import write_fleet_report
     from asbuilt.writers.tables.drift_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as tell:
-        found = fleet_drift(opened, since=first, options=options, progress=tell)
-    files = {"report": write_fleet_report(out / "fleet.html", found)}
+        found = asbuilt.fleet_drift(opened, since=first, options=options, progress=tell)
+    files = {"report": asbuilt.write_fleet_report(out / "fleet.html", found)}
     answer(
         as_json,
         lambda: found.as_document() | {"files": {"report": str(files["report"])}},

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import ReadingOptions, UsageError
 from asbuilt.cli.answers import answer, brief_files, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -24,17 +26,15 @@ from asbuilt.cli.arguments.options import (
     Unchecked,
     described_robot,
     distinct_logs,
-    read_result,
     recordings_of,
     refuse_idle,
+    refuse_sharing,
     robot_and_recordings,
     shared_work,
     writable_file,
 )
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.cli.arguments.timelines import TimelineFiles
-from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.tables import wrapped
 from asbuilt.workflow.options import (
     AUTOMATIC,
@@ -51,7 +51,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from asbuilt.executor import Workers
-    from asbuilt.workflow.study import Study
+    from asbuilt.validation.comparison.drift import Drift
+    from asbuilt.workflow.controller_model import ControllerComparison
 
 
 def identify(
@@ -78,8 +79,7 @@ def identify(
     """Identify a robot from recordings, and validate the result."""
     distinct_logs(log, validate, payload)
     if not options.rollout:
-        shares = {"--workers": workers is not None, "--scheduler": scheduler is not None}
-        refuse_idle("only rollouts are shared", shares)
+        refuse_sharing("only rollouts are shared", workers, scheduler)
     model, swept = described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
     chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
     options = replace(options, chain=chain, sweep_cutoff=swept)
@@ -88,12 +88,10 @@ def identify(
         model, (recordings, others, loaded) = robot_and_recordings(
             model, reading, log, validate, payload
         )
-        from asbuilt.workflow.calibration.payload_study import identify_payload
-        from asbuilt.workflow.study import identify as identify_robot
         from asbuilt.writers.reports.study_files import study_document, study_text, write_study
         from asbuilt.writers.timelines.timeline import timelines_of_validations
 
-        study = identify_robot(
+        study = asbuilt.identify(
             model,
             recordings,
             validation=others,
@@ -105,7 +103,7 @@ def identify(
         if loaded:
             held = None if options.holdout == AUTOMATIC else options.holdout
             under_load = PayloadOptions(chain=chain, holdout=held, checked=options.checked)
-            carried = identify_payload(study.result, loaded, options=under_load)
+            carried = asbuilt.identify_payload(study.result, loaded, options=under_load)
         files, notes = (
             write_study(out, study, payload=carried, command=sys.argv[1:])
             if out is not None
@@ -138,7 +136,7 @@ MORE_MOTION = ("does_not_generalise", "not_excited")
 """Reasons of a verdict that another log, or a designed motion, takes away."""
 
 
-def _next_command(study: Study, robot: str, files: Mapping[str, Path]) -> str:
+def _next_command(study: asbuilt.Study, robot: str, files: Mapping[str, Path]) -> str:
     """Return the command that follows from the verdict on a study."""
     place, reasons = files.get("result"), study.verdict.reasons
     if place is None:
@@ -195,8 +193,7 @@ def validate(
     distinct_logs(log)
     if rollout is None:
         refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
-        shares = {"--workers": workers is not None, "--scheduler": scheduler is not None}
-        refuse_idle("only rollouts are shared", shares)
+        refuse_sharing("only rollouts are shared", workers, scheduler)
     options = ValidationOptions(
         chain=filtering.chain() if any(filtering.given.values()) else None,
         rollout=() if rollout is None else horizons(rollout),
@@ -213,15 +210,12 @@ def validate(
                 result, log, options, reading, out, animation, shared, full=full, as_json=as_json
             )
         return
-    identified = read_result(Path(result))
+    identified = asbuilt.read_result(Path(result))
     if options.chain is not None and filtering.delay is None and identified.chain is not None:
         kept = replace(options.chain, delay=identified.chain.delay)
         options = replace(options, chain=kept)
     logged = recordings_of(identified.model, log, reading)
-    from asbuilt.validation.comparison.comparison import compare
     from asbuilt.validation.generalisation.cad_verdict import cad_verdict
-    from asbuilt.workflow.simulation.rollout import roll_out_result
-    from asbuilt.workflow.validation import validate as validate_result
     from asbuilt.workflow.validation import validation_verdict
     from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
     from asbuilt.writers.reports.study_files import write_validations
@@ -229,9 +223,9 @@ def validate(
     from asbuilt.writers.tables.tabular import validate_document
     from asbuilt.writers.timelines.timeline import timelines_of_validations
 
-    validations = validate_result(identified, logged, options=options)
+    validations = asbuilt.validate(identified, logged, options=options)
     with shared_work(workers, scheduler) as shared:
-        simulated = roll_out_result(
+        simulated = asbuilt.roll_out_result(
             identified, logged, options.rollout, options=options, workers=shared
         )
     files = write_validations(out, identified, validations) if out is not None else {}
@@ -239,7 +233,7 @@ def validate(
     files |= timelines.write(
         lambda: timelines_of_validations(identified.model, validations, logged)
     )
-    comparison = compare(identified, validation=validations)
+    comparison = asbuilt.compare(identified, validation=validations)
     verdicts = [cad_verdict(validation) for validation in validations]
     found = validation_verdict(identified, logged, validations, simulated)
     answer(
@@ -283,15 +277,15 @@ def _validate_described(
             " the table, and a page of its rollouts (--rollout)"
         )
     model, (logged,) = robot_and_recordings(described_robot(robot, **reading.of_base), reading, log)
-    from asbuilt.workflow.simulation.rollout import roll_out_robot
-    from asbuilt.workflow.validation import validate_robot
     from asbuilt.writers.files import path_texts
     from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import described_document, described_torque_table
 
-    errors = validate_robot(model, logged, options=options)
-    simulated = roll_out_robot(model, logged, options.rollout, options=options, workers=workers)
+    errors = asbuilt.validate_robot(model, logged, options=options)
+    simulated = asbuilt.roll_out_robot(
+        model, logged, options.rollout, options=options, workers=workers
+    )
     files = write_rollouts(model, simulated, out, animation)
     answer(
         as_json,
@@ -358,7 +352,7 @@ def compare(
 
     What differs, what that costs in torque, which causes explain it; or two results of one robot.
     """
-    identified, files = read_result(result), {}
+    identified, files = asbuilt.read_result(result), {}
     if sum(choice is not None for choice in (cad, other, controller)) > 1:
         raise UsageError(
             "--cad, --with and --controller are three different comparisons; give one of them"
@@ -377,11 +371,7 @@ def compare(
         None if controller is None else recordings_of(identified.model, [controller], reading)[0]
     )
     from asbuilt.identification.result.determination import determination
-    from asbuilt.validation.attribution.attribution import attribute
     from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-    from asbuilt.validation.comparison.comparison import compare as compare_with
-    from asbuilt.validation.comparison.drift import compare_results
-    from asbuilt.workflow.controller_model import compare_controller
     from asbuilt.writers.reports.compare_files import (
         CadVerdict,
         with_files,
@@ -389,8 +379,14 @@ def compare(
         write_drift,
     )
 
+    drift: Drift | ControllerComparison | None = None
     if other is not None:
-        drift = compare_results(identified, read_result(other), labels=(str(result), str(other)))
+        later, names = asbuilt.read_result(other), (str(result), str(other))
+        drift = asbuilt.compare_results(identified, later, labels=names)
+    elif recording is not None:
+        judged = ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked)
+        drift = asbuilt.compare_controller(identified, recording, options=judged)
+    if drift is not None:
         files = write_drift(out, drift) if out is not None else {}
         answer(
             as_json,
@@ -398,30 +394,17 @@ def compare(
             lambda: drift.as_text(full) + listed_files(files),
         )
         return
-    if recording is not None:
-        beside = compare_controller(
-            identified,
-            recording,
-            options=ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked),
-        )
-        files = write_drift(out, beside) if out is not None else {}
-        answer(
-            as_json,
-            lambda: with_files(beside.as_document(), files),
-            lambda: beside.as_text(full) + listed_files(files),
-        )
-        return
     design = None if cad is None else described_robot(cad)
     if design is not None:
         held = identified.model.locked_joints.items()
         design = design.locked({name: at for name, at in held if name in design.joint_names})
     verdict = CadVerdict(
-        compare_with(
+        asbuilt.compare(
             identified,
             design,
             tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance),
         ),
-        attribute(identified, design)
+        asbuilt.attribute(identified, design)
         if identified.cause_data is not None and not identified.model.n_floating
         else None,
         determination(identified),

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
 from asbuilt.cli.answers import answer, finding_text, listed_files
 from asbuilt.cli.arguments.options import AsJson, Full, Robot, described_robot, writable_file
 from asbuilt.cli.arguments.spread import one_of
@@ -62,13 +63,12 @@ def masses(
     materials and table, each link keeps its mass, spread evenly over its geometry.
     """
     from asbuilt.tables import wrapped
-    from asbuilt.workflow.masses.link_masses import link_masses
     from asbuilt.writers.files import path_texts
     from asbuilt.writers.models.masses_file import write_masses
     from asbuilt.writers.tables.masses_tables import masses_document, masses_table
 
     densities = _by_link("--density", density)
-    found = link_masses(
+    found = asbuilt.link_masses(
         described_robot(robot),
         meshes=meshes,
         density=_numbers(densities),

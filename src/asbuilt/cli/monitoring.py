@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import ReadingOptions, UsageError, WatchOptions
 from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar, wrapped
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -14,13 +16,9 @@ from asbuilt.cli.arguments.options import (
     Out,
     Result,
     distinct_logs,
-    read_result,
     recordings_of,
 )
 from asbuilt.cli.arguments.timelines import TimelineFiles
-from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.workflow.watching.options import WatchOptions
 
 
 def watch(
@@ -53,22 +51,19 @@ def watch(
     Thresholds are set for a stated rate of false alarms on recordings without contact. Forces are
     those on the robot, at the tool, in root axes.
     """
-    from asbuilt.workflow.watching.threshold_files import read_thresholds
-
     if calibrate and thresholds is not None:
         raise UsageError("--thresholds and --calibrate exclude each other; give one of them")
     distinct_logs([log], calibrate)
-    identified = read_result(result)
-    given = None if thresholds is None else read_thresholds(thresholds)
+    identified = asbuilt.read_result(result)
+    given = None if thresholds is None else asbuilt.read_thresholds(thresholds)
     with progress_bar() as report:
         report("read", 0.0)
         logged = recordings_of(identified.model, [log], reading)[0]
         quiet = recordings_of(identified.model, calibrate, reading)
-        from asbuilt.workflow.watching.watch import watch as watch_log
         from asbuilt.writers.reports.watch_files import watch_document, write_watched
         from asbuilt.writers.timelines.timeline import timeline_of_watched
 
-        watched = watch_log(
+        watched = asbuilt.watch(
             identified,
             logged,
             calibrate=quiet,

@@ -6,10 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import asbuilt
+from asbuilt import DesignOptions, UsageError
 from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -17,22 +19,18 @@ from asbuilt.cli.arguments.options import (
     Full,
     Robot,
     described_robot,
-    read_result,
+    refuse_both,
     refuse_idle,
+    refuse_sharing,
     writable_file,
     writable_folder,
 )
 from asbuilt.cli.arguments.spread import given_options
-from asbuilt.errors import UsageError
-from asbuilt.excitation.design.options import DesignOptions
 
 if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
     from asbuilt.excitation.design.multistart import SearchProgress
     from asbuilt.excitation.motions.motion import Motion
 
-HIGHEST_RATE = 1e5
-"""Highest rate of a motion file [Hz]; controllers take up to 8 kHz."""
 OF_MOTIONS = (
     *("--parametrisation", "--harmonics", "--criterion", "--focus", "--periods"),
     *("--power", "--perturbed", "--drive"),
@@ -99,24 +97,13 @@ def excite(
     as_json: AsJson = False,
 ) -> None:
     """Design the most informative motion within the limits of a robot."""
-    if not 0.0 < rate < math.inf:
-        raise UsageError(f"--rate takes a positive number of Hz, got {rate:g}")
-    if rate > HIGHEST_RATE:
-        raise UsageError(f"--rate must be at most {HIGHEST_RATE:g} Hz, got {rate:g}")
     asked = given_options(options)
-    if workers is not None and scheduler is not None:
-        raise UsageError(
-            "--workers and --scheduler exclude each other; start as many Dask workers as you want"
-        )
+    refuse_both(workers, scheduler)
     if static is not None:
-        spread = {"--workers": workers is not None, "--scheduler": scheduler is not None}
-        refuse_idle("static poses are found by one process", spread)
+        refuse_sharing("static poses are found by one process", workers, scheduler)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
     model, base, prior = described_robot(robot, fixed_base=fixed_base), None, None
-    from asbuilt.excitation.design.design import design_motion
-    from asbuilt.excitation.design.static_poses import design_static_poses
     from asbuilt.identification.information.known_information import known_information
-    from asbuilt.writers.motion_files import write_motion
     from asbuilt.writers.programs.format import program_format
     from asbuilt.writers.reports.motion_report import write_motion_report
     from asbuilt.writers.tables.design_tables import (
@@ -127,7 +114,7 @@ def excite(
     )
 
     if given is not None:
-        known = read_result(given)
+        known = asbuilt.read_result(given)
         if known.model.joint_names != model.joint_names:
             raise UsageError(f"{given} belongs to {known.robot}, not to {model.name}")
         model, base, prior = known.model, known.base, known_information(known)
@@ -137,15 +124,15 @@ def excite(
     for form in program or ():
         program_format(form, model, family)
 
-    def written(motion: Motion) -> dict[str, Path]:
-        files = {"motion": write_motion(out, motion, model.joint_names, rate)}
-        return files | _programs(model, motion, program, out, options.collision)
+    def written(found: Any) -> dict[str, Path]:
+        files = {"motion": asbuilt.write_motion(out, found.motion, model.joint_names, rate)}
+        files |= _programs(model, found.motion, program, out, options.collision)
+        page = out.with_suffix(".html")
+        return files | ({"report": write_motion_report(page, found)} if report else {})
 
     if static is not None:
-        poses = design_static_poses(model, static, options)
-        files = written(poses.motion)
-        if report:
-            files["report"] = write_motion_report(out.with_suffix(".html"), poses)
+        poses = asbuilt.design_static_poses(model, static, options)
+        files = written(poses)
         answer(
             as_json,
             lambda: static_document(poses, files),
@@ -158,7 +145,7 @@ def excite(
             best = f": best {state.best:.2f}" if math.isfinite(state.best) else ""
             show(state.phase + best, state.share)
 
-        design = design_motion(
+        design = asbuilt.design_motion(
             model,
             options,
             base=base,
@@ -167,9 +154,7 @@ def excite(
             scheduler=scheduler,
             progress=progress,
         )
-        files = written(design.motion)
-        if report:
-            files["report"] = write_motion_report(out.with_suffix(".html"), design)
+        files = written(design)
     answer(
         as_json,
         lambda: excite_document(design, files),
@@ -193,15 +178,18 @@ def _refuse_idle(
 
 
 def _programs(
-    model: RobotModel, motion: Motion, forms: Sequence[str] | None, out: Path, collision: str | None
+    model: asbuilt.RobotModel,
+    motion: Motion,
+    forms: Sequence[str] | None,
+    out: Path,
+    collision: str | None,
 ) -> dict[str, Path]:
     """Write the programs of a motion into folders beside its file."""
-    from asbuilt.writers.programs.program import make_program
     from asbuilt.writers.programs.program_files import write_program
 
     files: dict[str, Path] = {}
     for form in forms or ():
-        made = make_program(model, motion, form, name=out.stem, collision=collision)
+        made = asbuilt.make_program(model, motion, form, name=out.stem, collision=collision)
         written = write_program(out.with_name(f"{out.stem}_{form}"), made)
         files |= {f"{form}_{role}": path for role, path in written.items()}
     return files

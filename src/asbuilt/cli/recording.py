@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import ReadingOptions, UsageError
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -27,12 +29,8 @@ from asbuilt.cli.arguments.options import (
     writable_file,
 )
 from asbuilt.cli.arguments.spread import one_of
-from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.options import ReadingOptions
 
 if TYPE_CHECKING:
-    from asbuilt.description.inertia import LinkInertia
-    from asbuilt.description.model import RobotModel
     from asbuilt.excitation.motions.motion import Motion
 
 
@@ -61,12 +59,11 @@ def check(
     model, (recordings,) = robot_and_recordings(
         described_robot(robot, **reading.of_base), reading, log
     )
-    from asbuilt.experiment.quality.checks import check_recording
     from asbuilt.workflow.information_efficiency import recorded_information
     from asbuilt.writers.files import path_texts
     from asbuilt.writers.tables.tabular import check_document
 
-    checks = [check_recording(model, recording) for recording in recordings]
+    checks = [asbuilt.check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
@@ -216,7 +213,6 @@ def simulate(
     if at is not None and carried is None:
         raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     from asbuilt.experiment.virtual.settings import with_settings
-    from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
     from asbuilt.identification.calibration.payload import payload_frame
     from asbuilt.writers.recording_files import (
         simulate_document,
@@ -246,7 +242,9 @@ def simulate(
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
     moved = _motion(model, motion, duration, seed, fast=kind == "servo")
     of_robot = seed if robot_seed is None else robot_seed
-    virtual = VirtualRobot.preset(kind, model, of_robot, tool=carried, at=place, engine=runs_on)
+    virtual = asbuilt.VirtualRobot.preset(
+        kind, model, of_robot, tool=carried, at=place, engine=runs_on
+    )
     virtual = with_settings(virtual.logging(rate), settings or ())
     with progress_bar() as report:
         simulated = virtual.record(moved, seed, progress=lambda fraction: report("move", fraction))
@@ -259,23 +257,20 @@ def simulate(
 
 
 def _motion(
-    model: RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
+    model: asbuilt.RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
 ) -> Motion:
     """Return the motion of a file, or a random one."""
-    from asbuilt.excitation.motions.motion_csv import read_motion
-    from asbuilt.excitation.motions.random_motion import random_fourier
-
     if motion is not None:
-        return read_motion(motion, model)
+        return asbuilt.read_motion(motion, model)
     seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
     # 1.0: highest frequency of the random motion of servos, whose links are light [Hz].
     harmonics = max(5, round(1.0 * seconds)) if fast else 5
-    return random_fourier(model, rng=seed, duration=seconds, n_harmonics=harmonics)
+    return asbuilt.random_fourier(model, rng=seed, duration=seconds, n_harmonics=harmonics)
 
 
 def _simulate_free(
-    model: RobotModel,
-    tool: LinkInertia | None,
+    model: asbuilt.RobotModel,
+    tool: asbuilt.LinkInertia | None,
     place: str | None,
     release: str,
     duration: float | None,
@@ -284,14 +279,13 @@ def _simulate_free(
     as_json: bool,
 ) -> None:
     from asbuilt.experiment.virtual.bodies import with_body
-    from asbuilt.experiment.virtual.free_motion import run_free
     from asbuilt.writers.tables.free_motion_files import (
         free_motion_document,
         free_motion_text,
         write_free_motion,
     )
 
-    moved = run_free(
+    moved = asbuilt.run_free(
         model if tool is None else with_body(model, tool, place),
         one_of("--free", release, ("drop", "step", "free")),
         duration=3.0 if duration is None else duration,

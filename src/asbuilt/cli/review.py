@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import ReadingOptions, StudyOptions
 from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -19,8 +21,6 @@ from asbuilt.cli.arguments.options import (
     distinct_logs,
     robot_and_recordings,
 )
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.workflow.options import StudyOptions
 
 
 def review(
@@ -58,12 +58,11 @@ def review(
         model, (recordings,) = robot_and_recordings(model, reading, log)
         from asbuilt.validation.comparison.cad_tolerance import CadTolerance
         from asbuilt.validation.review.review import PLAUSIBLE
-        from asbuilt.workflow.review import review as review_robot
         from asbuilt.writers.reports.reviews.review_files import with_files, write_review
         from asbuilt.writers.reports.reviews.review_text import review_text
 
         tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
-        found = review_robot(
+        found = asbuilt.review(
             model,
             recordings,
             tolerance=tolerance,

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
+import asbuilt
+from asbuilt import MotionError, ReadingOptions, RecordingError, UsageError
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -27,23 +29,18 @@ from asbuilt.cli.arguments.options import (
     Scheduler,
     Seed,
     described_robot,
-    read_result,
     refuse_idle,
+    refuse_sharing,
     robot_as_built,
     shared_work,
     writable_file,
 )
 from asbuilt.cli.arguments.spread import given_options, one_of
-from asbuilt.errors import MotionError, RecordingError, UsageError
-from asbuilt.experiment.logs.options import ReadingOptions
 
 if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
     from asbuilt.excitation.motions.motion import Motion
     from asbuilt.executor import Workers
     from asbuilt.experiment.logs.long_recordings import RecordingStream
-    from asbuilt.experiment.recording import Recording
-    from asbuilt.identification.result.result import IdentificationResult
 
 
 def robots(full: Full = False, as_json: AsJson = False) -> None:
@@ -90,7 +87,7 @@ def show(
             "--contacts": contacts is not None,
         },
     )
-    result = read_result(Path(robot))
+    result = asbuilt.read_result(Path(robot))
     from asbuilt.writers.models.as_built import as_built_model
     from asbuilt.writers.tables.mass_table import exported_masses, mass_table
 
@@ -147,9 +144,7 @@ def base(
 
     The full text says why, parameter by parameter.
     """
-    from asbuilt.dynamics.base.base_parameters import find_base_parameters
     from asbuilt.dynamics.drives.defaults import on_driven_joints
-    from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.tables import stacked
     from asbuilt.writers.tables.robot_tables import (
         base_table,
@@ -159,8 +154,8 @@ def base(
     from asbuilt.writers.tables.tabular import base_document
 
     model = described_robot(robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts)
-    chosen = DriveSet.parse(drive or model.usual_drive or "none")
-    found = find_base_parameters(model, on_driven_joints(model, chosen))
+    chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")
+    found = asbuilt.find_base_parameters(model, on_driven_joints(model, chosen))
     standard = standard_table if full else identifiability_table
     answer(
         as_json,
@@ -204,14 +199,12 @@ def view(
 
     The browser shows frames, centres of mass and inertia ellipsoids; Ctrl-C ends it.
     """
-    from asbuilt.writers.pictures.view import view_robot
-
     model = robot_as_built(robot, fixed_base=reading.fixed_base)
     moved = None if motion is None else _played(model, motion, reading)
     about = {"robot": model.name, "duration": None if moved is None else moved.duration}
     chosen = one_of("--style", style, ("auto", "rendered", "skeleton"))
     with progress_bar() as report:
-        shown = view_robot(
+        shown = asbuilt.view_robot(
             model,
             moved,
             save=save,
@@ -240,21 +233,19 @@ def view(
         shown.close()
 
 
-def _played(model: RobotModel, path: Path, reading: ReadingOptions) -> Motion:
+def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> Motion:
     """Return the motion of a motion file, or of a recording in any format."""
-    from asbuilt.excitation.motions.motion_csv import read_motion
-    from asbuilt.experiment.logs.recordings import as_recordings
     from asbuilt.writers.pictures.played_recording import motion_of_recording
 
     options = replace(reading, fixed_base=False)
 
     def logged() -> Motion:
-        (recording,) = as_recordings(model, path, options)
-        return motion_of_recording(cast("Recording | RecordingStream", recording))
+        (recording,) = asbuilt.as_recordings(model, path, options)
+        return motion_of_recording(cast("asbuilt.Recording | RecordingStream", recording))
 
     try:
         if path.suffix.lower() == ".csv" and not any(given_options(options).values()):
-            return read_motion(path, model)
+            return asbuilt.read_motion(path, model)
     except MotionError as problem:
         with suppress(RecordingError):
             return logged()
@@ -367,28 +358,26 @@ def export(
             | {"--elastic": elastic},
         )
         with shared_work(workers, scheduler) as shared:
-            _export_ensemble(read_result(result), ensemble, "urdf" if bare else "mjcf", seed, out,
-                             shared, full=full, as_json=as_json)  # fmt: skip
+            models: Literal["mjcf", "urdf"] = "urdf" if bare else "mjcf"
+            _export_ensemble(
+                asbuilt.read_result(result), ensemble, models, seed, out, shared, full=full,
+                as_json=as_json,
+            )  # fmt: skip
         return
-    refuse_idle(
-        "only the draws of an ensemble are shared",
-        {"--workers": workers is not None, "--scheduler": scheduler is not None},
-    )
+    refuse_sharing("only the draws of an ensemble are shared", workers, scheduler)
     if bare:
         raise UsageError("--urdf needs the name of a file, or --ensemble N")
     refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
-    places, identified = _places(to or []), read_result(result)
-    from asbuilt.workflow.watching.threshold_files import read_thresholds
-    from asbuilt.writers.models.export import export_result
+    places, identified = _places(to or []), asbuilt.read_result(result)
 
-    exported = export_result(
+    exported = asbuilt.export_result(
         identified,
         urdf=urdf,
         mjcf=mjcf,
         toml=toml,
         c=c,
         observer=observer,
-        thresholds=None if thresholds is None else read_thresholds(thresholds),
+        thresholds=None if thresholds is None else asbuilt.read_thresholds(thresholds),
         original=original,
         nearest=nearest,
         force=force,
@@ -412,7 +401,7 @@ def _places(to: list[str]) -> dict[str, Path]:
 
 
 def _export_ensemble(
-    result: IdentificationResult,
+    result: asbuilt.IdentificationResult,
     n: int,
     models: Literal["mjcf", "urdf"],
     seed: int,
@@ -422,13 +411,11 @@ def _export_ensemble(
     full: bool,
     as_json: bool,
 ) -> None:
-    from asbuilt.identification.ensembles.ensemble import draw_ensemble
-    from asbuilt.writers.models.ensembles.ensemble_files import write_ensemble
 
     if out is None:
         raise UsageError("an ensemble is a folder of files; name it with --out DIR")
-    drawn = draw_ensemble(result, n, rng=seed, workers=workers)
-    written = write_ensemble(out, drawn, models=models, seed=seed)
+    drawn = asbuilt.draw_ensemble(result, n, rng=seed, workers=workers)
+    written = asbuilt.write_ensemble(out, drawn, models=models, seed=seed)
     answer(as_json, written.as_document, lambda: written.as_text(full))
 
 
@@ -464,12 +451,11 @@ def convert(
     """
     from asbuilt.description.structure.locking import locks_from_text
     from asbuilt.experiment.logs.options import gravity_of
-    from asbuilt.writers.models.convert import convert_robot
 
     model = described_robot(robot, fixed_base=fixed_base)
     if lock is not None:
         model = model.locked(locks_from_text(lock))
     if gravity is not None:
         model = model.with_gravity(gravity_of(gravity))
-    converted = convert_robot(model, writable_file(out) or out)
+    converted = asbuilt.convert_robot(model, writable_file(out) or out)
     answer(as_json, converted.as_document, converted.as_text)

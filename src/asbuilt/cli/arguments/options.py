@@ -14,18 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import asbuilt
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 from asbuilt.ranges import Range, out_of_range
 
 if TYPE_CHECKING:
-    from asbuilt.description.model import RobotModel
     from asbuilt.executor import Workers
     from asbuilt.experiment.logs.long_recordings import RecordingStream
-    from asbuilt.experiment.logs.options import ReadingOptions
-    from asbuilt.experiment.recording import Recording
-    from asbuilt.experiment.signal.signal_chain import SignalChain
-    from asbuilt.identification.result.result import IdentificationResult
 
 
 POSITIVE = Range(1e-9, 1e9)
@@ -40,14 +36,23 @@ def shared_work(processes: int | None, scheduler: str | None) -> Iterator[Worker
     if processes is None and scheduler is None:
         yield None
         return
+    refuse_both(processes, scheduler)
+
+    with asbuilt.open_workers(processes, scheduler) as workers:
+        yield workers
+
+
+def refuse_both(processes: int | None, scheduler: str | None) -> None:
+    """Raise `UsageError` if `--workers` and `--scheduler` are both given."""
     if processes is not None and scheduler is not None:
         raise UsageError(
             "--workers and --scheduler exclude each other; start as many Dask workers as you want"
         )
-    from asbuilt.executor import open_workers
 
-    with open_workers(processes, scheduler) as workers:
-        yield workers
+
+def refuse_sharing(why: str, processes: int | None, scheduler: str | None) -> None:
+    """Raise `UsageError`, saying why, if work that one process does is to be shared."""
+    refuse_idle(why, {"--workers": processes is not None, "--scheduler": scheduler is not None})
 
 
 def writable_folder(folder: Path | None) -> Path | None:
@@ -81,9 +86,7 @@ def complete_robot(incomplete: str) -> list[str]:
     >>> complete_robot("ur")
     ['ur10e']
     """
-    from asbuilt.description.catalogue import robot_names
-
-    named = [name for name in robot_names() if name.startswith(incomplete)]
+    named = [name for name in asbuilt.robot_names() if name.startswith(incomplete)]
     return named or sorted(glob(f"{escape(incomplete)}*"))
 
 
@@ -249,11 +252,9 @@ class Filtering:
         """Which of these options were given, by name."""
         return given_options(self)
 
-    def chain(self) -> SignalChain:
+    def chain(self) -> asbuilt.SignalChain:
         """Return the named signal chain, with the cutoff and decimation given."""
-        from asbuilt.experiment.signal.signal_chain import SignalChain
-
-        chain = SignalChain.preset(self.preset)
+        chain = asbuilt.SignalChain.preset(self.preset)
         cutoff = chain.cutoff if self.cutoff is None else positive_number("--cutoff", self.cutoff)
         return replace(
             chain,
@@ -287,11 +288,9 @@ def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
 
 def described_robot(
     robot: str, *, fixed_base: bool = False, free_base: bool = False, contacts: str | None = None
-) -> RobotModel:
+) -> asbuilt.RobotModel:
     """Return the robot that a name or a path describes, its base held or free if that is asked."""
-    from asbuilt.description.load import load_robot
-
-    return load_robot(
+    return asbuilt.load_robot(
         robot,
         fixed_base=fixed_base,
         base="free" if free_base else "fixed",
@@ -299,21 +298,14 @@ def described_robot(
     )
 
 
-def robot_as_built(robot: str, *, fixed_base: bool = False) -> RobotModel:
+def robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotModel:
     """Return a described robot, or an identified one as built where a result is given."""
     if Path(robot).suffix.lower() != ".json":
         return described_robot(robot, fixed_base=fixed_base)
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
     from asbuilt.writers.models.as_built import as_built_model
 
-    return as_built_model(read_result(Path(robot)))
-
-
-def read_result(path: Path) -> IdentificationResult:
-    """Read a result file; raises `ResultError` if it cannot be read."""
-    from asbuilt.workflow.result_files import read_result
-
-    return read_result(path)
+    return as_built_model(asbuilt.read_result(Path(robot)))
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
@@ -339,8 +331,8 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
 
 
 def robot_and_recordings(
-    model: RobotModel, reading: ReadingOptions, *logs: Sequence[Path] | None
-) -> tuple[RobotModel, list[list[Recording | RecordingStream]]]:
+    model: asbuilt.RobotModel, reading: asbuilt.ReadingOptions, *logs: Sequence[Path] | None
+) -> tuple[asbuilt.RobotModel, list[list[asbuilt.Recording | RecordingStream]]]:
     """Return a described robot as it was recorded, and its recordings, one list for each of `logs`.
 
     Joints that the recordings lack are locked, and what the options say of the robot is applied.
@@ -351,8 +343,8 @@ def robot_and_recordings(
 
 
 def recordings_of(
-    model: RobotModel, logs: Sequence[Path] | None, reading: ReadingOptions
-) -> list[Recording | RecordingStream]:
+    model: asbuilt.RobotModel, logs: Sequence[Path] | None, reading: asbuilt.ReadingOptions
+) -> list[asbuilt.Recording | RecordingStream]:
     """Return the recordings of an identified robot, none if no logs are given."""
     refuse_idle(
         "the robot of a result is taken as it was identified",
@@ -364,9 +356,7 @@ def recordings_of(
             "--contacts": reading.contacts is not None,
         },
     )
-    from asbuilt.experiment.logs.recordings import as_recordings
-
-    return as_recordings(model, logs or [], reading)  # type: ignore[return-value]
+    return asbuilt.as_recordings(model, logs or [], reading)  # type: ignore[return-value]
 
 
 def distinct_logs(*groups: Sequence[Path] | None) -> None:

@@ -40,14 +40,10 @@ class TimelineFiles:
 
     def write(self, timelines: Callable[[], Sequence[Timeline]]) -> dict[str, Path]:
         """Write the files that are asked for, and return their paths by kind."""
-        if self.mcap is None and self.rrd is None:
-            return {}
         from asbuilt.writers.timelines.mcap_file import write_mcap
         from asbuilt.writers.timelines.rrd_file import write_rrd
 
-        made, files = timelines(), {}
-        if self.mcap is not None:
-            files["mcap"] = write_mcap(self.mcap, made)
-        if self.rrd is not None:
-            files["rrd"] = write_rrd(self.rrd, made)
-        return files
+        writers = {"mcap": (self.mcap, write_mcap), "rrd": (self.rrd, write_rrd)}
+        asked = {kind: each for kind, each in writers.items() if each[0] is not None}
+        made = timelines() if asked else ()
+        return {kind: write(path, made) for kind, (path, write) in asked.items() if path}

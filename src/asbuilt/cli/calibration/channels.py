@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import ChannelOptions, ReadingOptions
 from asbuilt.cli.answers import answer, finding_text, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -20,9 +22,7 @@ from asbuilt.cli.arguments.options import (
     number_list,
     robot_and_recordings,
 )
-from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.tables import wrapped
-from asbuilt.workflow.options import ChannelOptions
 
 
 def channels(
@@ -87,17 +87,15 @@ def channels(
     )
     model, (sensors,) = robot_and_recordings(model, on_links, log)
     model, (motors,) = robot_and_recordings(model, on_motors, motor)
-    from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.workflow.calibration.torques import identify_channels
     from asbuilt.writers.tables.drive_tables import channels_document, channels_text
 
     options = ChannelOptions(
-        link_side=None if drive is None else DriveSet.parse(drive),
-        motor_side=None if motor_drive is None else DriveSet.parse(motor_drive),
+        link_side=None if drive is None else asbuilt.DriveSet.parse(drive),
+        motor_side=None if motor_drive is None else asbuilt.DriveSet.parse(motor_drive),
         chain=filtering.chain(),
         checked=not unchecked,
     )
     with progress_bar() as report:
-        found = identify_channels(model, sensors, motors, options=options, progress=report)
+        found = asbuilt.identify_channels(model, sensors, motors, options=options, progress=report)
     said = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
     answer(as_json, lambda: channels_document(found), lambda: channels_text(found, full) + said)

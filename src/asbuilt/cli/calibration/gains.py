@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import GainOptions, ReadingOptions
 from asbuilt.cli.answers import answer, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -22,9 +24,7 @@ from asbuilt.cli.arguments.options import (
     number_list,
     robot_and_recordings,
 )
-from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.workflow.options import GainOptions
 
 
 def gains(
@@ -58,13 +58,11 @@ def gains(
     usual; the gains printed replace them. In logs of commands the gain is the stiffness of the
     position servo, --kp.
     """
-    from asbuilt.dynamics.drives.selection import DriveSet
-
     distinct_logs(log, loaded)
     options = GainOptions(
         com=number_list("--com", com, 3) or None,
         frame=frame,
-        drive=None if drive is None else DriveSet.parse(drive),
+        drive=None if drive is None else asbuilt.DriveSet.parse(drive),
         chain=filtering.chain(),
         checked=not unchecked,
     )
@@ -72,9 +70,8 @@ def gains(
     source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
     measured = replace(reading, torque_source=source or "current")
     model, (bare, under) = robot_and_recordings(model, measured, log, loaded)
-    from asbuilt.workflow.calibration.torques import find_gains
     from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 
     with progress_bar() as report:
-        found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
+        found = asbuilt.find_gains(model, bare, under, mass=mass, options=options, progress=report)
     answer(as_json, lambda: gains_document(found), lambda: gains_text(found, full))

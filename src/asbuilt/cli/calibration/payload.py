@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
+from asbuilt import PayloadOptions, ReadingOptions
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -18,11 +20,8 @@ from asbuilt.cli.arguments.options import (
     Out,
     Result,
     distinct_logs,
-    read_result,
     recordings_of,
 )
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.workflow.options import PayloadOptions
 from asbuilt.writers.files import path_texts
 
 
@@ -68,7 +67,7 @@ def payload(
 ) -> None:
     """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
     distinct_logs(log, unloaded, validate)
-    identified = read_result(result)
+    identified = asbuilt.read_result(result)
     loaded, bare, others = (
         recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
     )

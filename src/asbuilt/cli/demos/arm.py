@@ -10,33 +10,34 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt import (
+    AsbuiltError,
+    Design,
+    DesignOptions,
+    DriveSet,
+    LinkInertia,
+    MissingExtraError,
+    Recording,
+    RobotModel,
+    Study,
+    StudyOptions,
+    design_motion,
+    identify,
+    random_fourier,
+    write_motion,
+    write_study,
+)
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import AsbuiltError, MissingExtraError
-from asbuilt.excitation.design.design import design_motion
-from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.multistart import SearchProgress
-from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.data_logger import DataLogger
+from asbuilt.experiment import DataLogger, SimulatedRecording, VirtualRobot
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
-from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording, VirtualRobot
 from asbuilt.tables import Column, Table, share, significant, stacked, wrapped
-from asbuilt.validation.attribution.attribution import Attribution, attribute
-from asbuilt.validation.prediction import Validation
-from asbuilt.validation.recovery import Recovery, compare_with_truth
-from asbuilt.workflow.options import StudyOptions
-from asbuilt.workflow.study import Study, identify
+from asbuilt.validation import Attribution, Recovery, Validation, attribute, compare_with_truth
 from asbuilt.writers.files import path_texts
 from asbuilt.writers.models.export import Export, export_result
-from asbuilt.writers.motion_files import write_motion
 from asbuilt.writers.recording_files import simulate_document, write_simulation
 from asbuilt.writers.reports.motion_report import write_motion_report
-from asbuilt.writers.reports.study_files import write_study
 from asbuilt.writers.tables.design_tables import excite_document
 from asbuilt.writers.tables.tabular import identify_document
 

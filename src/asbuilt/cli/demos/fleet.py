@@ -11,18 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt import (
+    FleetDrift,
+    FleetOptions,
+    IdentificationResult,
+    LinkInertia,
+    VirtualRobot,
+    fleet_drift,
+    fleet_identify,
+    random_fourier,
+    write_recording,
+)
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Column, Table, wrapped
 from asbuilt.validation.comparison.drift import Drift, compare_results
-from asbuilt.workflow.fleet.drift.drift import FleetDrift, fleet_drift
-from asbuilt.workflow.fleet.identification import fleet_identify
-from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
-from asbuilt.writers.recording_files import write_recording
 from asbuilt.writers.tables.drift_tables import drift_verdict
 from asbuilt.writers.tables.fleet_tables import addition_document
 

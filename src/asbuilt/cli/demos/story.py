@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import asbuilt
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import AsJson, Full, Out, writable_folder
 from asbuilt.cli.arguments.spread import one_of
@@ -23,10 +24,9 @@ def reproduce(out: Out = None, full: Full = False, as_json: AsJson = False) -> N
         reproduction_text,
         write_reproduction,
     )
-    from asbuilt.cli.hayat2015.reproduction import reproduce_paper
 
     with progress_bar() as report:
-        redone = reproduce_paper(progress=report)
+        redone = asbuilt.reproduce_paper(progress=report)
         files = write_reproduction(out, redone) if out is not None else {}
     answer(
         as_json,

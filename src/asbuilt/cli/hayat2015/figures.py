@@ -8,11 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
+from asbuilt import LinkInertia, RobotModel
 from asbuilt.arrays import Array
 from asbuilt.cli.hayat2015.reproduction import Reproduction
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.writers.figures.figure_style import blank_figure, headline, styled
 from asbuilt.writers.figures.torque_figure import torque_figure

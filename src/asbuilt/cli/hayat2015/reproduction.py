@@ -8,6 +8,20 @@ from decimal import Decimal
 
 import numpy as np
 
+from asbuilt import (
+    BaseParameters,
+    DriveSet,
+    IdentificationResult,
+    LinkInertia,
+    RobotModel,
+    Samples,
+    SignalChain,
+    find_base_parameters,
+    identify_samples,
+    observation_matrix,
+    prepare,
+    simulate_recording,
+)
 from asbuilt.arrays import Array
 from asbuilt.cli.hayat2015.facts import Paper, published
 from asbuilt.cli.hayat2015.virtual_robot import (
@@ -16,22 +30,10 @@ from asbuilt.cli.hayat2015.virtual_robot import (
     record_virtual_robot,
     simulation_motion,
 )
-from asbuilt.description.catalogue import bundled_robot
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.description import DHRow, bundled_robot, robot_from_dh
 from asbuilt.excitation.motions.motion import Motion
-from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.identification.bodies.consistency import consistency_margin
-from asbuilt.identification.identify import identify_samples
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import Validation, validate_samples
-from asbuilt.workflow.prepare import prepare
 
 Progress = Callable[[str, float], None]
 

@@ -12,19 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asbuilt import DriveSet, LinkInertia, Recording, RobotModel, simulate_recording
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.concatenated import Concatenated
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.excitation.motions.spline import SplineMotion
-from asbuilt.experiment.recording import Recording
+from asbuilt.excitation import (
+    Concatenated,
+    Motion,
+    MotionBounds,
+    PointToPointMotion,
+    QuinticMotion,
+    SplineMotion,
+)
 from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import simulate_recording
 
 SEED = 2015
 RATE = 1000.0

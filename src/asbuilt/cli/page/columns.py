@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+import asbuilt
+from asbuilt import ReadingOptions, RecordingError
 from asbuilt.cli.answers import answer, cure_text
 from asbuilt.cli.arguments.options import AsJson, Full, Robot, described_robot
-from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.options import ReadingOptions
 
 if TYPE_CHECKING:
     from asbuilt.arrays import Array
-    from asbuilt.description.model import RobotModel
     from asbuilt.experiment.logs.columns.layout import Layout
     from asbuilt.experiment.logs.formats.log_format import LogTable
     from asbuilt.experiment.logs.sheet import RecordingSheet
@@ -45,7 +44,7 @@ class MatchedColumns:
         Why the columns do not fit the robot, and what to do.
     """
 
-    model: RobotModel
+    model: asbuilt.RobotModel
     table: LogTable
     layout: Layout | None
     problem: str = ""
@@ -155,7 +154,7 @@ def columns(
         raise typer.Exit(1)
 
 
-def match_columns(model: RobotModel, log: Path, reading: ReadingOptions) -> MatchedColumns:
+def match_columns(model: asbuilt.RobotModel, log: Path, reading: ReadingOptions) -> MatchedColumns:
     """Match the columns of a log to the joints of a robot, as reading does.
 
     Raises `RecordingError` if the file is no table of numbers.
@@ -175,7 +174,7 @@ def match_columns(model: RobotModel, log: Path, reading: ReadingOptions) -> Matc
 
 
 def _draft(
-    table: LogTable, sheet: RecordingSheet, model: RobotModel, reading: ReadingOptions
+    table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
 ) -> Layout | None:
     """Return what the names of the columns alone give, else their values; None if nothing."""
     from asbuilt.experiment.logs.columns.layout import find_layout
@@ -218,8 +217,8 @@ def _columns_of(log: Path, sheet: RecordingSheet) -> LogTable:
 
 
 def _layout_of(
-    table: LogTable, sheet: RecordingSheet, model: RobotModel, reading: ReadingOptions
-) -> tuple[RobotModel, Layout]:
+    table: LogTable, sheet: RecordingSheet, model: asbuilt.RobotModel, reading: ReadingOptions
+) -> tuple[asbuilt.RobotModel, Layout]:
     """Return the layout, and the robot without the joints that the log lacks."""
     from asbuilt.experiment.logs.readers import layout_of
 

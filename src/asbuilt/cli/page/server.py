@@ -256,8 +256,8 @@ def _resource(name: str) -> Path | None:
 
     own, shared = Path(__file__).parent / "templates", Path(reports.__file__).parent / "templates"
     for folder, names in (
-        (own, ("page.html", "page.js", "plot.js", "page.css")),
-        (shared, ("report.css",)),
+        (own, ("page.html", "page.js", "page.css")),
+        (shared, ("report.css", "plot.js")),
     ):
         if name in names:
             return folder / name

@@ -10,16 +10,12 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from asbuilt import Cure, ReadingOptions, StudyOptions, UsageError, robot_names
 from asbuilt.cli.arguments.spread import option_name
 from asbuilt.cli.page.sheet import write_sheet
 from asbuilt.cli.page.worker import Worker
-from asbuilt.description.catalogue import robot_names
 from asbuilt.dynamics.drives.selection import available_terms
-from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.options import ReadingOptions
-from asbuilt.findings import Cure
 from asbuilt.identification.effects.wanted import TILT
-from asbuilt.workflow.options import StudyOptions
 
 STEPS = ("show", "columns", "check", "identify", "view", "export")
 """The commands of the page, in the order of its sections."""

@@ -8,10 +8,9 @@ from typing import Any
 
 import tomli_w
 
-from asbuilt.errors import UsageError
+from asbuilt import Cure, UsageError
 from asbuilt.experiment.logs.columns.roles import unit_scale
 from asbuilt.experiment.logs.readers import find_sheet
-from asbuilt.findings import Cure
 from asbuilt.writing import atomic_write
 
 QUANTITIES = ("position", "velocity", "acceleration", "torque", "command")

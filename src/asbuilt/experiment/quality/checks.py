@@ -174,16 +174,7 @@ class RecordingCheck:
         return self.as_text()
 
     def _repr_html_(self) -> str:
-        cells = [
-            (finding.severity, finding.code, finding.message, str(finding.cure or ""))
-            for finding in self.findings
-        ]
-        rows = "".join(
-            f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in cells
-        )
-        title = html.escape(f"{self.verdict}: {self.source} on {self.robot}")
-        head = "<tr><th>severity</th><th>code</th><th>finding</th><th>cure</th></tr>"
-        return f"<table><caption>{title}</caption>{head}{rows}</table>"
+        return f"<pre>{html.escape(self.as_text())}</pre>"
 
     def raise_errors(self, *, but: Collection[str] = ()) -> None:
         """Raise the first error whose code is not among `but`, if there is one.

@@ -37,6 +37,7 @@ from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import predict_torque
+from asbuilt.tables import Column, Table, plus_minus, rounded
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -133,6 +134,30 @@ class Payload:
     metrics: tuple[TorqueMetrics, ...]
     metrics_bare: tuple[TorqueMetrics, ...]
     names: tuple[str, ...] = PAYLOAD_NAMES
+
+    def __repr__(self) -> str:
+        shown = ", ".join(
+            f"{name} {plus_minus(value, error)}"
+            for name, value, error in zip(
+                self.names[:4], self.values.tolist(), self.std_errors.tolist(), strict=False
+            )
+        )
+        return f"Payload({self.robot} at {self.frame}: {shown})"
+
+    def _repr_html_(self) -> str:
+        """Return a table of all values with their standard errors for notebooks."""
+        rows = zip(self.names, self.values.tolist(), self.std_errors.tolist(), strict=True)
+        cells = tuple(
+            (name, *rounded(value, error), "yes" if name in self.determined else "NO")
+            for name, value, error in rows
+        )
+        heads = (
+            Column("parameter"),
+            Column("estimate", "SI", "decimal"),
+            Column("std err", align="decimal"),
+            Column("determined"),
+        )
+        return Table(heads, cells, f"{self.robot}: payload at {self.frame}").as_html()
 
     @property
     def inertia(self) -> LinkInertia:

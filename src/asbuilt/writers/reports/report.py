@@ -70,5 +70,5 @@ def report_html(
         contents=[(identifier, title) for identifier, title, _, folded in shown if not folded],
         sections=shown,
         data=plain(plot_data(report)),
-        script=resource("report.js"),
+        script=resource("plot.js") + resource("report.js"),
     )

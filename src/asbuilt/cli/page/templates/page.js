@@ -393,7 +393,7 @@
     offered = answer.effects.concat(old);
     const list = element("effects");
     list.textContent = "";
-    if (!offered.length) make(list, "li", {}, "").append("Nothing: the recordings show no effect that the description lacks.");
+    if (!offered.length) make(list, "li", { class: "none" }, "").append("Nothing: the recordings show no effect that the description lacks.");
     const widest = Math.max(...offered.map((each) => Math.max(each.error_before || 0, each.error_after || 0)), 1e-9);
     const boxes = offered.map((each) => {
       const row = make(list, "li", {});
@@ -451,19 +451,7 @@
     if (!curves || !curves.recordings.length) return;
     [...element("joints").children].forEach((each, k) => each.setAttribute("aria-pressed", String(k === joint)));
     const of = curves.recordings[recording].joints[joint];
-    const difference = (a, b) => a.map((value, i) => (value === null || b[i] === null ? null : value - b[i]));
-    asbuiltPlot.plot(element("torque-plot"), {
-      label: "Measured and predicted torque of " + curves.joints[joint], x: "time [s]",
-      panels: [
-        { title: `torque [${of.unit}]`, share: 3, traces: [
-          { x: of.t, y: of.measured, name: "measured", shade: "measured" },
-          { x: of.t, y: of.cad, name: "CAD", shade: "cad" },
-          { x: of.t, y: of.built, name: "as built", shade: "built" } ] },
-        { title: `error [${of.unit}]`, share: 2, traces: [
-          { x: of.t, y: difference(of.measured, of.cad), name: "error of CAD, RMS " + of.rms_cad, shade: "cad" },
-          { x: of.t, y: difference(of.measured, of.built), name: "error as built, RMS " + of.rms, shade: "error" } ] },
-      ],
-    });
+    asbuiltPlot.torques(element("torque-plot"), of, curves.joints[joint]);
     element("torque-note").textContent = "Drag to zoom, double-click to see all.";
   }
 

@@ -1,4 +1,5 @@
 "use strict";
+/* Plots of the report, and of the page of `asbuilt open`. */
 const asbuiltPlot = (function () {
   function make(parent, tag, attributes, text) {
     const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
@@ -15,6 +16,14 @@ const asbuiltPlot = (function () {
     const found = [];
     for (let k = Math.ceil(low / step); k * step <= high + 1e-9 * step; k += 1) found.push(k * step);
     return found;
+  }
+
+  function decades(low, high) {
+    const found = [];
+    for (let k = Math.floor(low); k <= Math.ceil(high); k += 1) {
+      for (const factor of high - low < 2 ? [1, 2, 5] : [1]) found.push(k + Math.log10(factor));
+    }
+    return found.filter((value) => value >= low && value <= high);
   }
 
   const shown = (value) => String(Number(value.toPrecision(4)));
@@ -42,36 +51,52 @@ const asbuiltPlot = (function () {
     return text;
   }
 
-  /* Lines in panels above each other on one x axis; drag to zoom, double-click to see all. */
+  /* Panels above each other on one x axis; traces are lines, dots, bars or a band. With `zoom`: drag to zoom, double-click to see all. */
   function plot(holder, spec) {
+    if (!holder) return;
     const width = holder.clientWidth || 680;
     const height = holder.clientHeight || 260;
     const left = 52;
-    const top = width < 560 ? 66 : 26;
+    const top = spec.legend ? (width < 560 ? 66 : 26) : 8;
     const bottom = height - 40;
     holder.textContent = "";
     const svg = make(holder, "svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": spec.label });
     const all = spec.panels.flatMap((panel) => panel.traces);
     const range = holder.range || extent(all.flatMap((trace) => trace.x));
     const across = (x) => left + (width - left - 10) * (x - range[0]) / (range[1] - range[0]);
-    const clip = make(svg, "clipPath", { id: holder.id + "-clip" });
-    make(clip, "rect", { x: left, y: 0, width: width - left - 10, height });
-    const sum = spec.panels.reduce((total, panel) => total + panel.share, 0);
+    make(make(svg, "clipPath", { id: holder.id + "-clip" }), "rect", { x: left, y: 0, width: width - left - 10, height });
+    const sum = spec.panels.reduce((total, panel) => total + (panel.share || 1), 0);
     let from = top;
     for (const panel of spec.panels) {
-      const to = from + (bottom - top - 14 * (spec.panels.length - 1)) * panel.share / sum;
+      const to = from + (bottom - top - 14 * (spec.panels.length - 1)) * (panel.share || 1) / sum;
       const inside = (trace) => trace.y.filter((_, i) => trace.x[i] === null || (trace.x[i] >= range[0] && trace.x[i] <= range[1]));
-      const [low, high] = extent(panel.traces.flatMap(inside));
-      const span = [low - 0.05 * (high - low), high + 0.05 * (high - low)];
-      const up = (y) => to - (to - from) * (y - span[0]) / (span[1] - span[0]);
-      for (const y of ticks(span[0], span[1], Math.max(2, (to - from) / 45))) {
-        make(svg, "line", { class: "grid", x1: left, x2: width - 10, y1: up(y), y2: up(y) });
-        make(svg, "text", { class: "tick", x: left - 5, y: up(y) + 4, "text-anchor": "end" }, shown(y));
+      const convert = panel.log ? Math.log10 : (value) => value;
+      let span = panel.range || extent(panel.traces.flatMap((trace) => inside(trace).map((value) => (value === null ? null : convert(value)))));
+      if (!panel.range) span = [span[0] - 0.05 * (span[1] - span[0]), span[1] + 0.05 * (span[1] - span[0])];
+      const up = (y) => to - (to - from) * (convert(y) - span[0]) / (span[1] - span[0]);
+      const level = (y) => to - (to - from) * (y - span[0]) / (span[1] - span[0]);
+      for (const y of panel.bare ? [] : panel.log ? decades(span[0], span[1]) : ticks(span[0], span[1], Math.max(2, (to - from) / 45))) {
+        make(svg, "line", { class: "grid", x1: left, x2: width - 10, y1: level(y), y2: level(y) });
+        make(svg, "text", { class: "tick", x: left - 5, y: level(y) + 4, "text-anchor": "end" }, shown(panel.log ? 10 ** y : y));
       }
-      make(svg, "text", { class: "tick", transform: `translate(11 ${(from + to) / 2}) rotate(-90)`, "text-anchor": "middle" }, panel.title);
+      if (panel.title) make(svg, "text", { class: "tick", transform: `translate(11 ${(from + to) / 2}) rotate(-90)`, "text-anchor": "middle" }, panel.title);
       make(svg, "line", { class: "axis", x1: left, x2: width - 10, y1: to, y2: to });
       const body = make(svg, "g", { "clip-path": `url(#${holder.id}-clip)` });
-      for (const trace of panel.traces) make(body, "path", { class: `trace line ${trace.shade}`, d: path(trace.x, trace.y, across, up) });
+      for (const trace of panel.traces) {
+        const style = `trace ${trace.kind || "line"} ${trace.shade}`;
+        if (trace.kind === "dots" || trace.kind === "cross") {
+          const group = make(body, "g", { class: style });
+          trace.x.forEach((x, i) => make(group, "circle", { cx: across(x).toFixed(1), cy: up(trace.y[i]).toFixed(1), r: trace.size || 1.6 }));
+        } else if (trace.kind === "bars") {
+          const group = make(body, "g", { class: style });
+          const wide = Math.abs(across(trace.x[1]) - across(trace.x[0]));
+          trace.x.forEach((x, i) => make(group, "rect", { x: across(x) - wide / 2, width: wide, y: up(trace.y[i]), height: Math.max(0, up(0) - up(trace.y[i])) }));
+        } else if (trace.kind === "band") {
+          make(body, "rect", { class: style, x: left, width: width - left - 10, y: up(trace.y[1]), height: up(trace.y[0]) - up(trace.y[1]) });
+        } else {
+          make(body, "path", { class: style, d: path(trace.x, trace.y, across, up) });
+        }
+      }
       from = to + 14;
     }
     for (const x of ticks(range[0], range[1], Math.max(3, width / 110))) {
@@ -79,8 +104,8 @@ const asbuiltPlot = (function () {
       make(svg, "text", { class: "tick", x: across(x), y: bottom + 17, "text-anchor": "middle" }, shown(x));
     }
     make(svg, "text", { class: "tick", x: (left + width) / 2, y: height - 4, "text-anchor": "middle" }, spec.x);
-    legend(svg, all, left, width);
-    zoomable(holder, svg, spec, { left, width, range, top, bottom });
+    if (spec.legend) legend(svg, all.filter((each) => each.name), left, width);
+    if (spec.zoom) zoomable(holder, svg, spec, { left, width, range, top, bottom });
   }
 
   function legend(svg, traces, left, width) {
@@ -98,7 +123,8 @@ const asbuiltPlot = (function () {
   function zoomable(holder, svg, spec, { left, width, range, top, bottom }) {
     const place = (event) => {
       const box = svg.getBoundingClientRect();
-      return Math.min(Math.max((event.clientX - box.left) * width / box.width, left), width - 10);
+      const x = (event.clientX - box.left) * width / box.width;
+      return Math.min(Math.max(x, left), width - 10);
     };
     const time = (x) => range[0] + (range[1] - range[0]) * (x - left) / (width - left - 10);
     let start = null;
@@ -124,6 +150,24 @@ const asbuiltPlot = (function () {
     svg.addEventListener("dblclick", () => { holder.range = null; plot(holder, spec); });
   }
 
+  const difference = (a, b) => a.map((value, i) => (value === null || b[i] === null ? null : value - b[i]));
+
+  /* Measured and predicted torque of one joint, and the errors of both models. */
+  function torques(holder, of, joint) {
+    plot(holder, {
+      label: "Measured and predicted torque of " + joint + ", and errors, over time", x: "time [s]", legend: true, zoom: true,
+      panels: [
+        { title: "torque [" + of.unit + "]", share: 3, traces: [
+          { x: of.t, y: of.measured, name: "measured", shade: "measured" },
+          { x: of.t, y: of.cad, name: "CAD", shade: "cad" },
+          { x: of.t, y: of.built, name: "as built", shade: "built" } ] },
+        { title: "error [" + of.unit + "]", share: 2, traces: [
+          { x: of.t, y: difference(of.measured, of.cad), name: "error of CAD, RMS " + (of.rms_cad ?? "unknown"), shade: "cad" },
+          { x: of.t, y: difference(of.measured, of.built), name: "error as built, RMS " + (of.rms ?? "unknown"), shade: "error" } ] },
+      ],
+    });
+  }
+
   /* A curve without axes, as wide as a word or two. */
   function small(holder, x, y) {
     const svg = make(holder, "svg", { viewBox: "0 0 150 30", preserveAspectRatio: "none", "aria-hidden": "true" });
@@ -137,5 +181,5 @@ const asbuiltPlot = (function () {
     shares.forEach((share, k) => make(svg, "rect", { class: k ? "after" : "before", x: 0, y: 2 + 10 * k, width: 100 * Math.max(share || 0, 0), height: 8 }));
   }
 
-  return { plot, small, bars };
+  return { plot, torques, small, bars };
 })();
