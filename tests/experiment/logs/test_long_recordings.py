@@ -12,9 +12,11 @@ from asbuilt.description.load import load_robot
 from asbuilt.errors import RecordingError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs import long_recordings
+from asbuilt.experiment.logs.formats import delimited
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.recordings import as_recordings
+from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
@@ -88,3 +90,21 @@ def test_file_without_samples_is_refused(model, tmp_path):
     ).write_parquet(path)
     with pytest.raises(RecordingError, match="no samples"):
         _ = RecordingStream(path, model).head
+
+
+def test_text_that_is_read_in_parts_is_the_whole_text(tmp_path, monkeypatch) -> None:
+    """Comments, blank lines and rows that lack cells, at the beginning of parts too."""
+    rows = [f"{0.01 * k:.2f},{np.sin(k):.6f},{np.cos(k):.6f}" for k in range(900)]
+    rows[100:100] = ["# a comment, with a comma"] * 40 + [""] * 3
+    rows[500] = rows[500].rpartition(",")[0]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(["t,q_1,tau_1", *rows, "9.00,1"]))
+    for at_once in (64, 700, 1 << 20):
+        monkeypatch.setattr(delimited, "AT_ONCE", at_once)
+        dialect = delimited.find_dialect(log)
+        whole = delimited.read_delimited(log, dialect).columns
+        frames = list(delimited._frames(log, RecordingSheet(), dialect.names, 128))
+        assert [first for first, _ in frames] == list(range(0, 900, 128))
+        for name, values in whole.items():
+            parts = np.concatenate([frame[name].to_numpy() for _, frame in frames])
+            np.testing.assert_array_equal(parts, values)

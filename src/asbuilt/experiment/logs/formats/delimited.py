@@ -214,28 +214,53 @@ def _dialect_of(path: Path, sheet: RecordingSheet) -> Dialect:
     )
 
 
-def scan_delimited(path: Path, dialect: Dialect) -> pl.LazyFrame:
-    """Open the file lazily: every numeric column Float64, text columns String."""
+def scan_delimited(path: Path, dialect: Dialect, text: bytes | None = None) -> pl.LazyFrame:
+    """Open the file lazily, or a part of its rows: numeric columns Float64, text columns String."""
     schema = {
         name: pl.String if name in dialect.text_columns else pl.Float64 for name in dialect.names
     }
-    return pl.scan_csv(
-        path,
+    # Polars counts columns by the first row, which may lack cells
+    whole_row = dialect.separator.join("0" * len(dialect.names)).encode() + b"\n"
+    scanned = pl.scan_csv(
+        path if text is None else whole_row + text,
         separator=dialect.separator,
         has_header=False,
-        skip_lines=dialect.skip,
+        skip_lines=dialect.skip if text is None else 0,
         schema=schema,
-        comment_prefix="#" if _has_comments(path) else None,
+        comment_prefix="#" if text is None and _holds(path, b"#") else None,
         null_values=_MISSING,
         decimal_comma=dialect.decimal_comma,
-        n_rows=dialect.rows,
+        n_rows=dialect.rows if text is None else None,
     )
+    return scanned if text is None else scanned.slice(1)
 
 
-def _has_comments(path: Path) -> bool:
-    """Return whether there is a `#`; Polars takes half as long again to look for lines of them."""
+def _holds(path: Path, sign: bytes) -> bool:
+    """Return whether a file holds a sign; Polars takes half as long again to look for comments."""
     with path.open("rb") as file:
-        return any(b"#" in part for part in iter(lambda: file.read(AT_ONCE), b""))
+        return any(sign in part for part in iter(lambda: file.read(AT_ONCE), b""))
+
+
+def _parts(path: Path, dialect: Dialect) -> Iterator[bytes]:
+    """Yield the rows of a file without quotes, some at a time, but for comments and a cut one."""
+
+    def without_comments(rows: bytes) -> bytes:
+        if b"#" not in rows:
+            return rows
+        return b"".join(each for each in rows.splitlines(True) if not each.startswith(b"#"))
+
+    with path.open("rb") as file:
+        for _ in range(dialect.skip):
+            file.readline()
+        begun = b""
+        for read in iter(lambda: file.read(AT_ONCE), b""):
+            whole, end, begun = (begun + read).rpartition(b"\n")
+            rows = without_comments(whole + end)
+            if rows.strip():
+                yield rows
+        begun = without_comments(begun)
+        if begun.strip() and dialect.rows is None:
+            yield begun
 
 
 def without_blank_lines(frame: pl.LazyFrame) -> pl.LazyFrame:
@@ -435,14 +460,21 @@ def _frames(
     path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, pl.DataFrame]]:
     dialect = _dialect_of(path, sheet)
-    scanned = without_blank_lines(scan_delimited(path, dialect).select(columns))
-    done = 0
+    # Polars reads far ahead of what is asked for; rows in quotes may span lines, which it must find
+    parts = [None] if _holds(path, b'"') else _parts(path, dialect)
+    done, held = 0, pl.DataFrame()
     try:
-        for frame in scanned.collect_batches(chunk_size=chunk_samples, maintain_order=True):
-            yield done, _with_times(path, frame, dialect)
-            done += frame.height
+        for part in parts:
+            rows = without_blank_lines(scan_delimited(path, dialect, part).select(columns))
+            for batch in rows.collect_batches(chunk_size=chunk_samples, maintain_order=True):
+                held = pl.concat([held, batch]) if held.height else batch
+                while held.height > chunk_samples:
+                    yield done, _with_times(path, held[:chunk_samples], dialect)
+                    done, held = done + chunk_samples, held[chunk_samples:]
     except pl.exceptions.PolarsError as error:
         raise bad_cell(path, dialect, error) from error
+    if held.height:
+        yield done, _with_times(path, held, dialect)
 
 
 def _is_echo(path: Path, sheet: RecordingSheet) -> bool:
