@@ -78,8 +78,8 @@ link_a = "fore"
 point_a = [0.1, 0.05, 0.05]
 link_b = "bracket"
 free_length = 0.6
-stiffness = 900
 force = 150
+progression = 6
 point_b = [0, 0, 0]
 """
 
@@ -171,7 +171,7 @@ def unknown():
 def test_unknown_stiffness_is_identified_and_misleads_no_check(log):
     assert "error" not in {each.severity for each in check_recording(unknown(), log).findings}
     study = identify(unknown(), log, method="wls")
-    truth = {"Ke1": 800.0, "Ks2": 12.0, "Pc2": 150.0, "Kc2": 900.0}
+    truth = {"Ke1": 800.0, "Ks2": 12.0, "Pc2": 150.0}
     found = {each.name: each for each in study.result.parameters if each.name in truth}
     assert set(found) == set(truth)
     for name, value in truth.items():
@@ -232,7 +232,7 @@ def test_equal_springs_add_up_and_unequal_ones_are_refused():
 
 
 def test_cylinder_of_constant_force_is_named_in_the_notes_of_mjcf():
-    model = robot_from_toml(LINKS + SPRINGS.replace("stiffness = 900\n", ""))
+    model = robot_from_toml(LINKS + SPRINGS.replace("progression = 6\n", ""))
     assert any("elbow 150" in note for note in mjcf_notes(model))
 
 

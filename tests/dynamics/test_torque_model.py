@@ -22,7 +22,7 @@ RICH = (
     "asymmetric_viscous,smooth_coulomb,quadratic,cubic,spring,offset,"
     "load_stribeck,quadratic_load_stribeck,directional_load_stribeck,directional_load_friction,"
     "extension_spring:inner=0.03:outer=0.2:angle=0.4:length=0.1,cable:order=5/2/7,motor_cable:order=4"
-    ",cylinder:inner=0.1:outer=0.3:angle=-0.4:length=0.2:axial=0.05/0.1/0.2"
+    ",cylinder:inner=0.1:outer=0.3:angle=-0.4:length=0.2:axial=0.05/0.1/0.2:rate=2"
 )
 
 

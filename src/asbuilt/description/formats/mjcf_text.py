@@ -126,7 +126,7 @@ def _add_equalities(root: Element, model: RobotModel, at: Array) -> None:
 def _add_springs(root: Element, model: RobotModel, bodies: Mapping[int, Element]) -> None:
     """Add springs between two links as spatial tendons; cylinders are springs that push.
 
-    A cylinder has the force of a spring of its stiffness Kc and free length `length + Pc / Kc`.
+    A cylinder is a spring of stiffness `Pc rate` and free length `length + 1 / rate`.
     """
     tendons = next(root.iter("tendon"), Element("tendon"))
     written = len(tendons)
@@ -153,8 +153,9 @@ def _tendon_spring(key: str, numbers: Mapping[str, float]) -> tuple[float, float
     """Return stiffness [N/m] and free length [m] of a drive term; no stiffness if it has none."""
     if key == "extension_spring":
         return numbers.get("Ke", 0.0), numbers["length"]
-    rate = numbers.get("Kc", 0.0) if key == "cylinder" else 0.0
-    return rate, numbers["length"] + numbers.get("Pc", 0.0) / rate if rate else 0.0
+    growth = numbers.get("rate", 0.0) if key == "cylinder" else 0.0
+    stiffness = numbers.get("Pc", 0.0) * growth
+    return stiffness, numbers["length"] + 1.0 / growth if stiffness else 0.0
 
 
 def _add_polynomial(

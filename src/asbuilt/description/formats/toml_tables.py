@@ -387,8 +387,9 @@ class LoopTable(_Table):
 class SpringTable(_Table):
     """A spring or cylinder between points of two links, or a torsion spring at a joint.
 
-    `stiffness` [N/m, N m/rad] and the `force` [N] of a cylinder at its `free_length` are identified
-    where they are left out; `rest` is in the angle unit of the file, or a position [m].
+    `stiffness` [N/m, N m/rad] and the `force` [N] of a cylinder at its `free_length` are
+    identified where they are left out; the force grows by the share `progression` [1/m]; `rest`
+    is in the angle unit of the file, or a position [m].
     """
 
     name: str = ""
@@ -402,6 +403,7 @@ class SpringTable(_Table):
     rest: Finite = 0.0
     stiffness: Gain | None = None
     force: Finite | None = None
+    progression: Gain = 0.0
 
     @model_validator(mode="after")
     def _one_kind(self) -> SpringTable:
@@ -409,8 +411,12 @@ class SpringTable(_Table):
         ends = {"link_a", "point_a", "link_b", "point_b", "free_length"}
         at_joint = {"joint", "rest"}
         needed = {"joint"} if self.kind == "torsion" else ends
-        refused = (ends | {"force"}) if self.kind == "torsion" else at_joint
-        refused = refused if self.kind != "extension" else {*refused, "force"}
+        of_cylinder = {"force", "progression"}
+        refused = {
+            "extension": at_joint | of_cylinder,
+            "cylinder": at_joint | {"stiffness"},
+            "torsion": ends | of_cylinder,
+        }[self.kind]
         if wrong := given & refused:
             raise ValueError(f"a spring of kind {self.kind} takes no {', '.join(sorted(wrong))}")
         if missing := needed - given:

@@ -31,12 +31,12 @@ ON_AXIS = 1e-4
 class Spring:
     """Say where a spring or a cylinder acts, and what is known of its force.
 
-    An `extension` spring pulls two points together with `stiffness (l - free_length)`, one without
-    free length as an ideal balancer does, with the torque of a weight; a `cylinder`
-    pushes them apart with `force + stiffness (free_length - l)`, l being their distance [m]; a
-    `torsion` spring turns `joint` back to `rest` [rad or m]. `point_a`, `point_b` (3,) are in the
-    axes of the links or frames `link_a`, `link_b` [m]. `stiffness` [N/m, N m/rad] and `force` [N]
-    are None where they are to be identified.
+    An `extension` spring pulls two points together with `stiffness (l - free_length)`, one
+    without free length as an ideal balancer does, with the torque of a weight; a `cylinder`
+    pushes them apart with `force (1 + progression (free_length - l))`, l being their distance
+    [m]; a `torsion` spring turns `joint` back to `rest` [rad or m]. `point_a`, `point_b` (3,) are
+    in the axes of the links or frames `link_a`, `link_b` [m]. `stiffness` [N/m, N m/rad] and
+    `force` [N] are None where they are to be identified.
     """
 
     kind: SpringKind = "extension"
@@ -49,6 +49,7 @@ class Spring:
     rest: float = 0.0
     stiffness: float | None = None
     force: float | None = None
+    progression: float = 0.0
     name: str = ""
 
     def __str__(self) -> str:
@@ -60,7 +61,7 @@ class Spring:
         """What is known of its force, by the symbols of its drive term."""
         by_symbol = {
             "extension": {"Ke": self.stiffness},
-            "cylinder": {"Pc": self.force, "Kc": self.stiffness},
+            "cylinder": {"Pc": self.force},
             "torsion": {"Ks": self.stiffness},
         }[self.kind]
         return {symbol: value for symbol, value in by_symbol.items() if value is not None}
@@ -172,7 +173,8 @@ def _about_axis(spring: Spring, joint: Joint, below: Array, above: Array) -> dic
             f"the ends of {spring} coincide at position {meets:.3f} of joint {joint.name!r}, within"
             " its limits; there the spring has no direction: check point_a and point_b"
         )
-    return {
+    rate = {"rate": spring.progression} if spring.kind == "cylinder" else {}
+    return rate | {
         "inner": inner,
         "outer": outer,
         "angle": math.remainder(angle, 2.0 * math.pi),

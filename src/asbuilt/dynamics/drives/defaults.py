@@ -14,15 +14,17 @@ from asbuilt.errors import UsageError
 def usual_drive(model: RobotModel, source: str) -> DriveSet:
     """Return the usual drive terms of a robot for a torque of this source.
 
-    These are those that its description names (`usual_drive`), or the default terms, those of
-    coupled motors if the source measures motors, and the springs and balancers described.
+    These are those that its description names (`usual_drive`), or the default terms and those of
+    coupled motors if the source measures motors; besides, the springs and balancers described.
     """
-    if model.usual_drive:
-        return on_driven_joints(model, DriveSet.parse(model.usual_drive))
-    drive = DriveSet.default(source)
-    if source in MOTOR_SOURCES:
+    drive = DriveSet.parse(model.usual_drive) if model.usual_drive else DriveSet.default(source)
+    if source in MOTOR_SOURCES and not model.usual_drive:
         drive = DriveSet((*drive.terms, *coupled_motor_terms(model).terms))
-    described = (term for term in described_drive(model)[0].terms if term.by_construction)
+    described = tuple(
+        term
+        for term in described_drive(model)[0].terms
+        if term.by_construction and term.key not in drive.keys
+    )
     return on_driven_joints(model, DriveSet((*drive.terms, *described)))
 
 

@@ -36,6 +36,8 @@ class DeterminationThresholds:
     correlated: float = 2.5
     """Smallest ratio of an error to its value with the other parameters known (the square root of
     the variance inflation factor, 6; Belsley, Kuh and Welsch, 1980, warn from 5 to 10)."""
+    shown: float = 3.0
+    """Errors, with the other parameters known, from which a spring is told from none."""
     named: float = 0.35
     """Smallest coefficient, relative to the largest, of a parameter named in a combination."""
     combinations: int = 6
@@ -256,7 +258,7 @@ def spring_findings(result: IdentificationResult) -> tuple[Finding, ...]:
 def _instead(result: IdentificationResult, k: int, others: Indices) -> Indices:
     """Return which of the other parameters take the place of parameter k, the closest first.
 
-    None do if its error with the others known is not much smaller.
+    None do if its error with the others known is not much smaller, or too large to tell it from 0.
     """
     error = result.std_errors
     if not (error[k] > 0.0 and others.size):
@@ -264,7 +266,9 @@ def _instead(result: IdentificationResult, k: int, others: Indices) -> Indices:
     correlation = result.covariance[np.ix_(others, others)] / np.outer(error[others], error[others])
     own = result.covariance[others, k] / (error[others] * error[k])
     explained = float(own @ np.linalg.pinv(correlation, rcond=1e-10, hermitian=True) @ own)
-    if 1.0 - explained > 1.0 / LIMITS.correlated**2:
+    left = float(np.sqrt(max(1.0 - explained, 0.0)))
+    alone = abs(result.estimates[k]) > LIMITS.shown * left * error[k]
+    if left > 1.0 / LIMITS.correlated or not alone:
         return others[:0]
     order = np.argsort(-np.abs(own), kind="stable")
     close = np.abs(own[order]) >= (1.0 - LIMITS.named) * np.abs(own).max()

@@ -156,7 +156,7 @@ def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
     constant = [
         f"{joint.name} {numbers['Pc']:.6g}"
         for joint in plain.joints
-        if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("Kc")
+        if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("rate")
     ]
     if constant:
         notes = (

@@ -41,7 +41,10 @@ def swapped(recording: Recording, one: int, other: int) -> Recording:
 def fit_of(model: RobotModel, recording: Recording) -> TorqueFit:
     q = recording.q
     qd, order = np.gradient(q, recording.t, axis=0), tuple(range(model.n_joints))
-    qdd, bases = np.gradient(qd, recording.t, axis=0), friction_bases(qd)
+    qdd, bases = (
+        np.gradient(qd, recording.t, axis=0),
+        friction_bases(qd, np.zeros((qd.shape[1], len(qd), 0))),
+    )
     return TorqueFit(model, q, qd, qdd, recording.tau, bases, order, order)
 
 

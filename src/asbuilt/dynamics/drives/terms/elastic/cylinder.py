@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from asbuilt.dynamics.drives.term import DriveTerm, NonlinearValue, drive_term
-from asbuilt.dynamics.drives.terms.elastic.extension_spring import ARM, GEOMETRY, LENGTH, STRETCH
+from dataclasses import replace
+
+from asbuilt.dynamics.drives.term import (
+    DriveTerm,
+    NonlinearParameter,
+    NonlinearValue,
+    drive_term,
+)
+from asbuilt.dynamics.drives.terms.elastic.extension_spring import ARM, GEOMETRY, LENGTH
+
+TYPICAL = {"inner": 0.02, "outer": 0.15, "angle": 1.0, "length": 0.1}
+"""Another geometry than that of springs, since two terms of one geometry have common parts."""
 
 
 @drive_term
 class Cylinder(DriveTerm):
-    """Add `-(Pc + Kc (length - l)) dl/dq`: a cylinder that pushes its ends apart.
+    """Add `-Pc (1 + rate (length - l)) dl/dq`: a cylinder that pushes its ends apart.
 
-    Its force is Pc [N] where its length l is `length`, and grows by Kc [N/m] as it is pushed in:
-    gas springs and accumulators to first order in the stroke. The ends are placed as those of an
-    `extension_spring`, and the column of Kc is that of its stiffness.
+    Its force is Pc [N] where its length l is `length`, and grows by the share `rate` [1/m] as it is
+    pushed in: gas springs and accumulators to first order in the stroke. The ends are placed as
+    those of an `extension_spring`.
     """
 
     inner: NonlinearValue = None
@@ -20,14 +30,17 @@ class Cylinder(DriveTerm):
     angle: NonlinearValue = None
     length: NonlinearValue = None
     axial: NonlinearValue = None
+    rate: NonlinearValue = None
 
     key = "cylinder"
     position = 73
-    symbols = ("Pc", "Kc")
-    columns = (f"-{ARM}/{LENGTH}", STRETCH)
-    formula = "-(Pc + Kc (length - l)) inner outer sin(q + angle)/l"
-    revolute_units = ("N", "N/m")
-    prismatic_units = ("N", "N/m")
-    nonlinear = GEOMETRY
+    symbols = ("Pc",)
+    columns = (f"-{ARM}*(1+rate*(length-{LENGTH}))/{LENGTH}",)
+    formula = "-Pc (1 + rate (length - l)) inner outer sin(q + angle)/l"
+    revolute_units = ("N",)
+    prismatic_units = ("N",)
+    nonlinear = (
+        *(replace(each, typical=TYPICAL.get(each.name)) for each in GEOMETRY),
+        NonlinearParameter("rate", 0.0, 0.0, 1e3, "1/m", fitted=False),
+    )
     by_construction = True
-    ratio_powers = (1.0, 2.0)
