@@ -39,7 +39,7 @@ def drift(
     opened = open_ledger(ledger)
     from asbuilt.workflow.fleet.drift.drift import fleet_drift
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.tables.drift_tables import drift_text
+    from asbuilt.writers.tables.fleet_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as report:
@@ -71,7 +71,7 @@ def report(
     from asbuilt.workflow.fleet.drift.drift import fleet_drift
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
     from asbuilt.writers.reports.fleet_report import write_fleet_report
-    from asbuilt.writers.tables.drift_tables import drift_text
+    from asbuilt.writers.tables.fleet_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as tell:

@@ -223,7 +223,7 @@ def validate(
     from asbuilt.workflow.simulation.rollout import roll_out_result
     from asbuilt.workflow.validation import validate as validate_result
     from asbuilt.workflow.validation import validation_verdict
-    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
+    from asbuilt.writers.reports.rollout_page import write_rollouts
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import validate_document
@@ -286,7 +286,7 @@ def _validate_described(
     from asbuilt.workflow.simulation.rollout import roll_out_robot
     from asbuilt.workflow.validation import validate_robot
     from asbuilt.writers.files import path_texts
-    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
+    from asbuilt.writers.reports.rollout_page import write_rollouts
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import described_document, described_torque_table
 

@@ -65,7 +65,7 @@ def masses(
     from asbuilt.workflow.masses.link_masses import link_masses
     from asbuilt.writers.files import path_texts
     from asbuilt.writers.models.masses_file import write_masses
-    from asbuilt.writers.tables.masses_tables import masses_document, masses_table
+    from asbuilt.writers.tables.mass_tables import masses_document, masses_table
 
     densities = _by_link("--density", density)
     found = link_masses(

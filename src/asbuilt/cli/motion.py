@@ -116,15 +116,10 @@ def excite(
     from asbuilt.excitation.design.design import design_motion
     from asbuilt.excitation.design.static_poses import design_static_poses
     from asbuilt.identification.information.known_information import known_information
-    from asbuilt.writers.motion_files import write_motion
     from asbuilt.writers.programs.format import program_format
+    from asbuilt.writers.recording_files import write_motion
     from asbuilt.writers.reports.motion_report import write_motion_report
-    from asbuilt.writers.tables.design_tables import (
-        excite_document,
-        excite_text,
-        static_document,
-        static_text,
-    )
+    from asbuilt.writers.tables.design_tables import design_document, design_text
 
     if given is not None:
         known = read_result(given)
@@ -148,8 +143,8 @@ def excite(
             files["report"] = write_motion_report(out.with_suffix(".html"), poses)
         answer(
             as_json,
-            lambda: static_document(poses, files),
-            lambda: static_text(poses, full=full, spell=cure_text) + listed_files(files),
+            lambda: design_document(poses, files),
+            lambda: design_text(poses, full=full, spell=cure_text) + listed_files(files),
         )
         return
     with progress_bar() as show:
@@ -172,8 +167,8 @@ def excite(
             files["report"] = write_motion_report(out.with_suffix(".html"), design)
     answer(
         as_json,
-        lambda: excite_document(design, files),
-        lambda: excite_text(design, full=full, spell=cure_text) + listed_files(files),
+        lambda: design_document(design, files),
+        lambda: design_text(design, full=full, spell=cure_text) + listed_files(files),
     )
 
 

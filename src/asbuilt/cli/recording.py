@@ -285,7 +285,7 @@ def _simulate_free(
 ) -> None:
     from asbuilt.experiment.virtual.bodies import with_body
     from asbuilt.experiment.virtual.free_motion import run_free
-    from asbuilt.writers.tables.free_motion_files import (
+    from asbuilt.writers.recording_files import (
         free_motion_document,
         free_motion_text,
         write_free_motion,

@@ -59,8 +59,7 @@ def review(
         from asbuilt.validation.comparison.cad_tolerance import CadTolerance
         from asbuilt.validation.review.review import PLAUSIBLE
         from asbuilt.workflow.review import review as review_robot
-        from asbuilt.writers.reports.reviews.review_files import with_files, write_review
-        from asbuilt.writers.reports.reviews.review_text import review_text
+        from asbuilt.writers.reports.review_files import review_text, with_files, write_review
 
         tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
         found = review_robot(

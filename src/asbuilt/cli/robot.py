@@ -33,7 +33,7 @@ from asbuilt.cli.arguments.options import (
     shared_work,
     writable_file,
 )
-from asbuilt.cli.arguments.spread import given_options, one_of
+from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import MotionError, RecordingError, UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 
@@ -92,7 +92,7 @@ def show(
     )
     result = read_result(Path(robot))
     from asbuilt.writers.models.as_built import as_built_model
-    from asbuilt.writers.tables.mass_table import exported_masses, mass_table
+    from asbuilt.writers.tables.mass_tables import exported_masses, mass_table
 
     model, masses = as_built_model(result), exported_masses(result)
     answer(
@@ -187,14 +187,6 @@ def view(
             callback=writable_file,
         ),
     ] = None,
-    style: Annotated[
-        str,
-        typer.Option(
-            "--style",
-            metavar="NAME",
-            help="of pictures: auto, rendered (MuJoCo, OpenGL) or skeleton",
-        ),
-    ] = "auto",
     port: PagePort = 8080,
     browser: Browser = True,
     reading: ReadingOptions,
@@ -209,13 +201,11 @@ def view(
     model = robot_as_built(robot, fixed_base=reading.fixed_base)
     moved = None if motion is None else _played(model, motion, reading)
     about = {"robot": model.name, "duration": None if moved is None else moved.duration}
-    chosen = one_of("--style", style, ("auto", "rendered", "skeleton"))
     with progress_bar() as report:
         shown = view_robot(
             model,
             moved,
             save=save,
-            style=chosen,
             port=port,
             progress=lambda done: report("draw", done),
         )
@@ -244,7 +234,7 @@ def _played(model: RobotModel, path: Path, reading: ReadingOptions) -> Motion:
     """Return the motion of a motion file, or of a recording in any format."""
     from asbuilt.excitation.motions.motion_csv import read_motion
     from asbuilt.experiment.logs.recordings import as_recordings
-    from asbuilt.writers.pictures.played_recording import motion_of_recording
+    from asbuilt.writers.pictures.motion_view import motion_of_recording
 
     options = replace(reading, fixed_base=False)
 

@@ -23,8 +23,7 @@ from asbuilt.workflow.fleet.identification import fleet_identify
 from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
 from asbuilt.writers.recording_files import write_recording
-from asbuilt.writers.tables.drift_tables import drift_verdict
-from asbuilt.writers.tables.fleet_tables import addition_document
+from asbuilt.writers.tables.fleet_tables import addition_document, drift_verdict
 
 Progress = Callable[[str, float], None]
 

@@ -132,12 +132,10 @@ class Summary:
 
     def with_mass(
         self,
-        totals: tuple[float | None, float] | None,
+        totals: tuple[float | None, float],
         links: Sequence[tuple[str, float | None, float]] = (),
     ) -> Summary:
         """Return the summary with masses by CAD and as built [kg]: total, and each of `links`."""
-        if totals is None:
-            return self
         cad, built = (significant(mass) for mass in totals)
         of_links = "; ".join(f"{name} {_mass(cad)} -> {_mass(built)}" for name, cad, built in links)
         more = (("each link [kg]", of_links),) if len(links) > 1 else ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.tables import Cell, Column, Shown, Table, share, significant
+from asbuilt.tables import Cell, Column, Shown, Table, share
 
 MOST_COLUMNS = 4
 """Predictions in a short text."""
@@ -33,16 +33,12 @@ def torque_error_table(
         Column("joint", width=24),
         *([Column("unit")] if mixed else []),
         *(
-            Column(name, unit, "decimal", detail=k >= MOST_COLUMNS)
+            Column(name, unit, "decimal", 3, detail=k >= MOST_COLUMNS)
             for k, (name, _) in enumerate(predictions)
         ),
     )
     rows: list[tuple[Cell, ...]] = [
-        (
-            name,
-            *([units[k]] if mixed else []),
-            *(Shown(float(e.rms[k]), significant(float(e.rms[k]))) for _, e in predictions),
-        )
+        (name, *([units[k]] if mixed else []), *(float(e.rms[k]) for _, e in predictions))
         for k, name in enumerate(predictions[0][1].joint_names)
     ]
     relative = (Shown(e.relative_error, share(e.relative_error)) for _, e in predictions)

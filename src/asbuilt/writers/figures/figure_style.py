@@ -5,7 +5,6 @@ Colours are those of Okabe and Ito (2008), distinct for the colour-blind and in 
 
 from __future__ import annotations
 
-import base64
 import io
 import os
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from matplotlib.figure import Figure
 
 from asbuilt.errors import UsageError
 from asbuilt.tables import shortened
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, data_address
 
 BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
     "#0072B2",
@@ -127,4 +126,4 @@ def figure_address(figure: Figure) -> str:
     stream = io.BytesIO()
     with styled():
         figure.savefig(stream, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    return data_address(stream.getvalue(), "image/svg+xml")

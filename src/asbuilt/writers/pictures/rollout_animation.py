@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,9 +17,9 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
 from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
+from asbuilt.writers.pictures.view import write_frames
 from asbuilt.writers.tables.rollout_tables import error_text, position_unit
 
 FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -78,9 +77,6 @@ def write_rollout_animation(
     UsageError
         If the suffix is unknown, or there is no such recording or no robot was simulated.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".gif", ".webp"):
-        raise UsageError(f"an animation is written as .gif or .webp, not as {Path(path).name!r}")
     if not 0 <= recording < len(rollout.motions):
         raise UsageError(
             f"the rollout has {len(rollout.motions)} recordings, and no {recording}",
@@ -88,21 +84,7 @@ def write_rollout_animation(
             upper=len(rollout.motions) - 1,
         )
     shown = _shown(rollout.motions[recording])
-    frames = [Pillow.fromarray(image) for image in _frames(model, shown, rollout, width)]
-    pause = round(1000 * float(shown.t[-1]) / max(len(shown.t) - 1, 1))
-    stream = io.BytesIO()
-    if suffix == ".gif":
-        frames = [each.quantize(128, dither=Pillow.Dither.NONE) for each in frames]
-    frames[0].save(
-        stream,
-        suffix[1:].upper(),
-        save_all=True,
-        append_images=frames[1:],
-        duration=pause,
-        loop=0,
-        quality=60,
-    )
-    return atomic_write(path, stream.getvalue())
+    return write_frames(path, [*_frames(model, shown, rollout, width)], float(shown.t[-1]))
 
 
 def _shown(motion: SimulatedMotion) -> _Shown:

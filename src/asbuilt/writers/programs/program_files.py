@@ -11,7 +11,7 @@ from asbuilt.tables import wrapped
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.programs.format import ProgramFile
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
-from asbuilt.writers.tables.limit_tables import margin_table, verdict
+from asbuilt.writers.tables.design_tables import margin_table, margin_verdict
 
 
 def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) -> dict[str, Path]:
@@ -64,7 +64,7 @@ def program_text(request: ProgramRequest, form: str, *, full: bool = False) -> s
     return "\n".join(
         [
             wrapped(title),
-            wrapped(verdict(request.report)),
+            wrapped(margin_verdict(request.report)),
             wrapped(collisions),
             "Run the dry run first; the header of the program says how.",
             "",

@@ -15,7 +15,7 @@ from asbuilt.identification.calibration.payload import Payload
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.reports.page import page, resource, section_markup
+from asbuilt.writers.reports.page import Block, page, resource, section_markup
 from asbuilt.writers.reports.plot_data import plot_data
 from asbuilt.writers.reports.section import Report, sections
 
@@ -58,17 +58,15 @@ def report_html(
         context = section.context(report)
         if context is not None:
             body = section_markup(section.template, context)
-            shown.append((identifier, section.title, body, section.folded))
+            shown.append(Block(identifier, section.title, (body,), folded=section.folded))
     robot = study.result.robot
     sources = ", ".join(recording_name(source) for source in study.result.sources)
     return page(
-        "report.html.j2",
+        robot,
+        "as built",
+        shown,
         title=f"{robot}, as built",
-        heading=robot,
-        subject="as built",
         subtitle=f"Identified from {sources}",
-        contents=[(identifier, title) for identifier, title, _, folded in shown if not folded],
-        sections=shown,
         data=plain(plot_data(report)),
         script=resource("report.js"),
     )

@@ -12,7 +12,6 @@ from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.summary import Summary
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
@@ -23,14 +22,14 @@ from asbuilt.writers.models.physical import impossibilities
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.tables.drive_tables import motor_side_table
-from asbuilt.writers.tables.mass_table import ExportedMasses, exported_masses
+from asbuilt.writers.tables.mass_tables import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
 from asbuilt.writers.tables.rollout_tables import refined_text, rollout_text, with_rollouts
 from asbuilt.writers.tables.tabular import (
+    identified_table,
     identify_document,
     prediction_table,
     write_json,
-    write_parameters_csv,
 )
 
 MEMBERS = (
@@ -61,8 +60,10 @@ def study_text(
     if not full:
         text = study.summary().as_text(cure_text=cure_text)
         return text if payload is None else f"{text}\n{payload_table(payload).as_text()}"
-    masses = exported_masses(study.result)
-    parts = [with_masses(study.summary(), masses).as_text(full, cure_text)]
+    summary, masses = study.summary(), exported_masses(study.result)
+    if masses is not None:
+        summary = summary.with_mass((masses.total_cad, masses.total_as_built), masses.links)
+    parts = [summary.as_text(full, cure_text)]
     if gear_ratios(study.result.model):
         drives = motor_side_table(motor_side_parameters(study.result)).as_text(full)
         parts.append(f"Drives at the motor\n{drives}")
@@ -77,14 +78,6 @@ def study_text(
     if payload is not None:
         parts.append(payload_text(payload, full))
     return "\n".join(parts)
-
-
-def with_masses(summary: Summary, masses: ExportedMasses | None) -> Summary:
-    """Return a summary with the masses of the links by CAD and as built."""
-    if masses is None:
-        return summary
-    links = tuple(zip(masses.names, masses.cad, masses.as_built, strict=True))
-    return summary.with_mass(masses.totals, links)
 
 
 def study_document(
@@ -160,7 +153,9 @@ def _write_tables(folder: Path, study: Study, payload: Payload | None) -> dict[s
     return {
         "result": write_result(folder / "result.json", study),
         "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
-        "parameters": write_parameters_csv(folder / "parameters.csv", study.result),
+        "parameters": atomic_write(
+            folder / "parameters.csv", identified_table(study.result).as_csv()
+        ),
     }
 
 
@@ -192,34 +187,25 @@ def _write_robot(
     """Write robot.toml and robot.urdf, if there can be such, and note what they lack."""
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
+    kind = "robot"
     try:
         built = as_built(result)
-        files["robot"], notes["robot"] = (
-            write_robot_toml(folder / "robot.toml", built.model),
-            load_note(result, built),
-        )
-    except (IdentifiabilityError, DescriptionError) as problem:
-        notes["robot"] = (f"not written: {problem}",)
-        return files, notes
-    try:
+        files["robot"] = write_robot_toml(folder / "robot.toml", built.model)
+        notes["robot"] = load_note(result, built)
+        kind = "urdf"
         original, missing = urdf_to_edit(result.model)
         notes["urdf"] = tuple(f"not written: {why}" for why in missing)
-        if original is not None:
-            impossible, (in_simulators, kept) = (
-                impossibilities(built.model),
-                keeping_described_drives(built.model, result.model),
-            )
-            if impossible:
-                notes["urdf"] = (
-                    (f"not written: {impossible[0]}; the nearest consistent model can be exported"),
-                )
-            else:
-                files["urdf"], said = write_urdf(
-                    folder / "robot.urdf", in_simulators, original=original
-                )
-                notes["urdf"] = (*said, *kept)
-    except DescriptionError as problem:
-        notes["urdf"] = (f"not written: {problem}",)
+        impossible = original is not None and impossibilities(built.model)
+        in_simulators, kept = keeping_described_drives(built.model, result.model)
+        if impossible:
+            can = "the nearest consistent model can be exported"
+            notes["urdf"] = (f"not written: {impossible[0]}; {can}",)
+        elif original is not None:
+            place = folder / "robot.urdf"
+            files["urdf"], said = write_urdf(place, in_simulators, original=original)
+            notes["urdf"] = (*said, *kept)
+    except (IdentifiabilityError, DescriptionError) as problem:
+        notes[kind] = (f"not written: {problem}",)
     return files, {kind: said for kind, said in notes.items() if said}
 
 

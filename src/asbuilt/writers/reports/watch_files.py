@@ -12,8 +12,15 @@ from asbuilt.workflow.watching.watched_log import WatchedLog, duration
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.figures.watch_figure import watch_figure
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.reports.page import page, table_markup
-from asbuilt.writers.reports.report_verdict import Card
+from asbuilt.writers.reports.page import (
+    Block,
+    Card,
+    cards_markup,
+    image_markup,
+    list_markup,
+    page,
+    table_markup,
+)
 
 
 def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
@@ -48,18 +55,20 @@ def watch_html(watched: WatchedLog) -> str:
             + ("" if verified else f"; not verified, from {duration(3600.0 * thresholds.hours)}"),
         ),
     ]
+    drawn = image_markup(
+        figure_address(watch_figure(watched)),
+        "Residual of the momentum observer and its thresholds at every joint; the events are in"
+        " the table below",
+        narrow=figure_address(watch_figure(watched, narrow=True)),
+    )
+    said = [*watched.sentences(), *(each.text for each in watched.findings)]
+    table = [table_markup(watched.table(), "events-table")] if events else []
     return page(
-        "watch.html.j2",
-        title=f"{watched.robot}: {watched.source}",
-        heading=watched.robot,
-        subject=watched.source,
-        subtitle="",
-        contents=[("verdict", "Verdict"), ("torque", "External torque")]
-        + ([("events", "Events")] if events else []),
-        cards=cards,
-        sentences=watched.sentences(),
-        findings=[each.text for each in watched.findings],
-        image=figure_address(watch_figure(watched)),
-        narrow_image=figure_address(watch_figure(watched, narrow=True)),
-        events_table=table_markup(watched.table(), "events-table") if events else "",
+        watched.robot,
+        watched.source,
+        [
+            Block("verdict", "Verdict", (cards_markup(cards), list_markup(said))),
+            Block("torque", "External torque, joint by joint", (drawn,), "External torque"),
+            Block("events", "Events", table),
+        ],
     )

@@ -26,7 +26,6 @@ from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_drives import drive_entries
 from asbuilt.writers.models.c.c_dynamics import Mechanism
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
-from asbuilt.writers.models.c.c_momentum import mass_matrix_terms, momentum_terms
 from asbuilt.writers.models.c.c_observer import ObserverCode
 from asbuilt.writers.models.sample_states import sample_states
 
@@ -169,8 +168,8 @@ def _controller_functions(
     for entry, value in zip(drive_entries(rubbing, terms, chi), values, strict=True):
         for j, column in entry.items():
             friction[j] = rubbing.code.total((friction[j],), (Term(float(value)), column))
-    p, gradient = momentum_terms(moving, chi, armature)
-    masses = mass_matrix_terms(still, chi, armature)
+    p, gradient = moving.momentum(chi, armature)
+    masses = still.mass_matrix(chi, armature)
     q, qd = f"const double q[{n}]", f"const double qd[{n}]"
     return [
         _function(

@@ -1,7 +1,11 @@
-"""Newton-Euler equations of one robot as straight-line arithmetic, its numbers folded in."""
+"""Newton-Euler equations and momentum of one robot as straight-line arithmetic in C.
+
+The numbers of the robot are folded in.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +29,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Screw:
-    """Hold angular velocity `z` and velocity `m` of a frame, in its axes, for a unit joint rate."""
+    """Hold angular velocity `z` and velocity `m` of the origin of a frame, in its axes."""
 
     z: Vector
     m: Vector
@@ -105,21 +109,82 @@ class Mechanism:
 
     def torques(self, parameters: Array) -> list[Term]:
         """Return the torque of each joint for inertial parameters of shape (10 n_links,)."""
-        n, parameters = self.tree.n_joints, self.of_tree(parameters)
-        carried: list[list[Wrench]] = [[] for _ in range(n)]
-        torques = [ZERO] * n
-        for j in reversed(range(n)):
-            own = self._inertial(self.motions[j], parameters[10 * j : 10 * j + 10])
-            whole = Wrench(
-                self._added(own.force, *(w.force for w in carried[j])),
-                self._added(own.moment, *(w.moment for w in carried[j])),
+        chi = self.of_tree(parameters).reshape(-1, 10)
+        carried = self._carried(lambda j: self._inertial(self.motions[j], chi[j]))
+        return self.of_joints(self._along(carried))
+
+    def momentum(self, parameters: Array, armature: Array) -> tuple[list[Term], list[Term]]:
+        """Return `p = (M + A) qd` and `C^T qd` of each joint for inertial parameters (10 n,).
+
+        With the twist V of a joint frame, the momentum H of what the joint carries and its axis S,
+        `p = S . H` and `C^T qd = dT/dq = -H . (S x V)`.
+        """
+        twists, carried = self._momenta(parameters, self.qd)
+        total = self.code.total
+        rotors = [
+            [(Term(float(a)), rate) for a, rate in zip(row, self.qd, strict=True) if a]
+            for row in armature
+        ]
+        gradient = []
+        for joint, v, h in zip(self.tree.joints, twists, carried, strict=True):
+            turning = [(h.moment, v.z), (h.force, v.m)]
+            pairs = turning if joint.is_revolute else [(h.force, v.z)]
+            gradient.append(
+                total(*((a[0], b[1]) for a, b in pairs), *((-a[1], b[0]) for a, b in pairs))
             )
-            joint = self.tree.joints[j]
-            at_joint = self._out(joint.after, whole)
-            torques[j] = at_joint.moment[2] if joint.is_revolute else at_joint.force[2]
+        momenta = self.of_joints(self._along(carried))
+        whole = [total((p,), *extra) for p, extra in zip(momenta, rotors, strict=True)]
+        return whole, self.of_joints(gradient)
+
+    def mass_matrix(self, parameters: Array, armature: Array) -> dict[tuple[int, int], Term]:
+        """Return the entries (joint, joint) of `M + A`: column k is the momentum of unit rate k."""
+        n = self.model.n_joints
+        entries: dict[tuple[int, int], Term] = {}
+        for k in range(n):
+            _, carried = self._momenta(parameters, [ONE if j == k else ZERO for j in range(n)])
+            momenta = self.of_joints(self._along(carried))
+            for j in range(k, n):
+                total = self.code.sum(momenta[j], Term(float(armature[j, k])))
+                entries[j, k] = entries[k, j] = total
+        return entries
+
+    def _momenta(self, parameters: Array, rates: list[Term]) -> tuple[list[Screw], list[Wrench]]:
+        """Return for joint rates the twist of each joint frame, and the momentum it carries."""
+        at_joint: list[Screw] = []
+        of_link: list[Screw] = []
+        for j, (joint, rate) in enumerate(zip(self.tree.joints, self.of_links(rates), strict=True)):
+            above = Screw(NOTHING, NOTHING) if joint.parent == ROOT else of_link[joint.parent]
+            own: Vector = (ZERO, ZERO, rate)
+            twist = self._over(j, self._through(joint.before, above))
+            at_joint.append(
+                Screw(self._added(twist.z, own), twist.m)
+                if joint.is_revolute
+                else Screw(twist.z, self._added(twist.m, own))
+            )
+            of_link.append(self._through(joint.after, at_joint[j]))
+        chi = self.of_tree(parameters).reshape(-1, 10)
+        return at_joint, self._carried(lambda j: self._momentum(of_link[j], chi[j]))
+
+    def _carried(self, own: Callable[[int], Wrench]) -> list[Wrench]:
+        """Return the wrench that each joint carries, in its axes, from those of the links."""
+        n = self.tree.n_joints
+        above: list[list[Wrench]] = [[] for _ in range(n)]
+        found = [Wrench(NOTHING, NOTHING)] * n
+        for j in reversed(range(n)):
+            joint, parts = self.tree.joints[j], [own(j), *above[j]]
+            force = self._added(*(each.force for each in parts))
+            moment = self._added(*(each.moment for each in parts))
+            found[j] = self._out(joint.after, Wrench(force, moment))
             if joint.parent != ROOT:
-                carried[joint.parent].append(self._out(joint.before, self._unturned(j, at_joint)))
-        return self.of_joints(torques)
+                above[joint.parent].append(self._out(joint.before, self._unturned(j, found[j])))
+        return found
+
+    def _along(self, wrenches: list[Wrench]) -> list[Term]:
+        """Return the part of each joint's wrench along its axis."""
+        return [
+            wrench.moment[2] if joint.is_revolute else wrench.force[2]
+            for joint, wrench in zip(self.tree.joints, wrenches, strict=True)
+        ]
 
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
         """Return the nonzero entries (joint, position in `columns`) of the regressor."""
@@ -222,6 +287,15 @@ class Mechanism:
             self.code.total((part,), (m, a)) for part, a in zip(force, motion.a, strict=True)
         )
         return Wrench((fx, fy, fz), moment)
+
+    def _momentum(self, twist: Screw, parameters: Array) -> Wrench:
+        """Return force `m v + w x h` and moment `I w + h x v` of a link."""
+        xx, xy, xz, yy, yz, zz, *h, m = _numbers(parameters)
+        first: Vector = (h[0], h[1], h[2])
+        turned, total = self._cross(twist.z, first), self.code.total
+        fx, fy, fz = (total((m, v), (t,)) for v, t in zip(twist.m, turned, strict=True))
+        spun = self._times(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), twist.z)
+        return Wrench((fx, fy, fz), self._added(spun, self._cross(first, twist.m)))
 
     def _screws(self) -> list[dict[int, Screw]]:
         """Return for each link the screws of the joints that move it."""
