@@ -11,7 +11,7 @@ import io
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from operator import attrgetter
 from typing import Any, Literal
@@ -298,6 +298,12 @@ class Table:
         cells = [attrgetter(each.of) if isinstance(each.of, str) else each.of for each in columns]
         rows = tuple(tuple(cell(item) for cell in cells) for item in items)
         return cls(tuple(columns), rows, title, **rest)
+
+    def filled(self) -> Table:
+        """Return the table without the columns that no row fills."""
+        kept = [k for k in range(len(self.columns)) if any(row[k] is not None for row in self.rows)]
+        rows = tuple(tuple(row[k] for k in kept) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[k] for k in kept), rows=rows)
 
     def __str__(self) -> str:
         return self.as_text()

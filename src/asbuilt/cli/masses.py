@@ -64,7 +64,7 @@ def masses(
     from asbuilt.tables import wrapped
     from asbuilt.workflow.masses.link_masses import link_masses
     from asbuilt.writers.files import path_texts
-    from asbuilt.writers.models.masses_file import write_masses
+    from asbuilt.writers.models.convert import write_masses
     from asbuilt.writers.tables.mass_tables import masses_document, masses_table
 
     densities = _by_link("--density", density)

@@ -191,8 +191,7 @@ def _programs(
     model: RobotModel, motion: Motion, forms: Sequence[str] | None, out: Path, collision: str | None
 ) -> dict[str, Path]:
     """Write the programs of a motion into folders beside its file."""
-    from asbuilt.writers.programs.program import make_program
-    from asbuilt.writers.programs.program_files import write_program
+    from asbuilt.writers.programs.program import make_program, write_program
 
     files: dict[str, Path] = {}
     for form in forms or ():
@@ -256,8 +255,12 @@ def program(
     """Write a program that makes a real controller run a motion and record it."""
     model, title = described_robot(robot), name or motion.stem
     from asbuilt.writers.programs.format import program_format
-    from asbuilt.writers.programs.program import program_request
-    from asbuilt.writers.programs.program_files import program_document, program_text, write_program
+    from asbuilt.writers.programs.program import (
+        program_document,
+        program_request,
+        program_text,
+        write_program,
+    )
 
     request = program_request(model, motion, form, name=title, rate=rate, collision=collision)
     files = write_program(out, program_format(form).files(request))

@@ -73,7 +73,7 @@ def check(
     ]
     files = {}
     if out is not None:
-        from asbuilt.writers.reports.check_page import write_check_page
+        from asbuilt.writers.reports.watch_files import write_check_page
 
         files = write_check_page(out, recordings, checks, finding_text)
     answer(

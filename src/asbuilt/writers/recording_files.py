@@ -214,8 +214,8 @@ def _sampled_to_end(motion: Motion, rate: float) -> Trajectory:
 
 def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
     """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG."""
-    from asbuilt.writers.figures.energy_figure import energy_figure  # noqa: PLC0415 - light start
     from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
+    from asbuilt.writers.figures.recording_figures import energy_figure  # noqa: PLC0415 - light start
 
     states = {"q": motion.q, "qd": motion.qd, "tau": motion.tau}
     energies = {

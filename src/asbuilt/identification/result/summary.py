@@ -192,12 +192,7 @@ def _mass(mass: float | None) -> str:
 
 def finding_lines(findings: Sequence[Finding], cure_text: Callable[[Cure], str] = str) -> list[str]:
     """Return ranked findings, whole, as lines of 80 columns."""
-    lines = []
-    for finding in findings:
-        cure = "" if finding.cure is None else cure_text(finding.cure)
-        advice = f" {cure[0].upper()}{cure[1:]}." if cure else ""
-        lines.append(wrapped(f"{finding.message}.{advice}", f"{finding.severity.upper():<7}  "))
-    return lines
+    return [wrapped(each.advised(cure_text), f"{each.severity.upper():<7}  ") for each in findings]
 
 
 def _heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:

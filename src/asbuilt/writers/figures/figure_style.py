@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -113,6 +113,29 @@ def blank_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+@contextmanager
+def drawn(
+    width: float, height: float, title: str = "", *, rows: int = 1, columns: int = 1, **how: Any
+) -> Iterator[tuple[Figure, list[Any]]]:
+    """Draw within this context on the axes of a new figure [inch], row by row, with a headline.
+
+    `how` goes to `Figure.subplots`.
+    """
+    with styled():
+        figure = blank_figure(width, height)
+        yield figure, [*figure.subplots(rows, columns, squeeze=False, **how).flat]
+        headline(figure, title)
+
+
+def label_once(figure: Figure, axes: Iterable[Any], **how: Any) -> None:
+    """Put a legend beside the axes that has each of their labels once; `how` as for a legend."""
+    handles: dict[str, Any] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    figure.legend([*handles.values()], [*handles], **how)
 
 
 def headline(figure: Figure, title: str) -> None:

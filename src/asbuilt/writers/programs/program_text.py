@@ -12,8 +12,8 @@ import numpy as np
 import tomli_w
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from asbuilt.writers.programs.format import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.naming import plain_text
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 
 def render(template: str, **values: Any) -> str:

@@ -18,8 +18,11 @@ from asbuilt.validation.comparison.comparison import Comparison, recording_name
 from asbuilt.validation.comparison.drift import Drift
 from asbuilt.validation.comparison.torque_change import joint_table
 from asbuilt.workflow.controller_model import ControllerComparison
-from asbuilt.writers.figures.cause_figures import attribution_figure, difference_figure
-from asbuilt.writers.figures.drift_figure import drift_figure
+from asbuilt.writers.figures.comparison_figures import (
+    attribution_figure,
+    difference_figure,
+    drift_figure,
+)
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.reports.cards import determination_card, difference_card, torque_card

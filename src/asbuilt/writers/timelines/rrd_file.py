@@ -17,7 +17,7 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError
 from asbuilt.findings import Severity
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.pictures.round_mesh import round_mesh
+from asbuilt.writers.pictures.skeleton import round_mesh
 from asbuilt.writers.timelines.timeline import Timeline
 
 TIME = "time"

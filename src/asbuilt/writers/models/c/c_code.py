@@ -23,8 +23,7 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.monitoring.balance import armature_matrix
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.c.c_drives import drive_entries
-from asbuilt.writers.models.c.c_dynamics import Mechanism
+from asbuilt.writers.models.c.c_dynamics import Mechanism, drive_entries
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
 from asbuilt.writers.models.c.c_observer import ObserverCode
 from asbuilt.writers.models.sample_states import sample_states

@@ -6,10 +6,15 @@ import numpy as np
 
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
 from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
 from asbuilt.writers.programs.program_text import commented, numbers, preamble, render, sheet_text
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 CONTROL_RATE = 1000.0
 """Rate at which the robot takes positions and checks them for jumps [Hz]."""

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
 from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
 from asbuilt.writers.programs.formats.sunrise import PACKAGE, SIGN_NOTE
 from asbuilt.writers.programs.naming import class_name
@@ -17,7 +23,6 @@ from asbuilt.writers.programs.program_text import (
     rounded_down,
     sheet_text,
 )
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 SPEED_ALLOWANCE = 1.05
 """A command may be faster than the motion by this factor ..."""

@@ -9,9 +9,13 @@ import numpy as np
 
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.writers.programs.format import (
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
 from asbuilt.writers.programs.program_text import GAINS_TO_FILL_IN, preamble, sheet_text
-from asbuilt.writers.programs.request import ProgramRequest
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from asbuilt.tables import Table
-from asbuilt.writers.figures.cause_figures import attribution_figure
+from asbuilt.writers.figures.comparison_figures import attribution_figure
 from asbuilt.writers.figures.figure_style import figure_address
 from asbuilt.writers.reports.page import image_markup, list_markup, paragraph_markup, table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
