@@ -111,33 +111,23 @@ def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool 
     """Return the torque of all changes together joint by joint, with a significance test."""
     change = "difference" if of_models else "change"
     unit = joints[0].unit if len({each.unit for each in joints}) == 1 else ""
-    heads = (
-        Column("joint", width=20),
-        *([] if unit else [Column("unit")]),
-        *(Column(name, unit, "decimal") for name in ("torque", change, "by chance")),
-        Column("p", align="right"),
-        Column("verdict"),
+    beyond_doubt = "DIFFERS" if of_models else "CHANGED"
+    columns = (
+        Column("joint", width=20, of="joint"),
+        *([] if unit else [Column("unit", of="unit")]),
+        Column("torque", unit, "decimal", 3, of="torque_of_motion"),
+        Column(change, unit, "decimal", 3, of="torque"),
+        Column("by chance", unit, "decimal", 3, of="by_chance"),
+        Column("p", "", "right", probability_text, of="holm"),
+        Column("verdict", of=lambda each: beyond_doubt if each.holm <= level else "-"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            each.joint,
-            *([] if unit else [each.unit]),
-            *(
-                Shown(value, significant(value))
-                for value in (each.torque_of_motion, each.torque, each.by_chance)
-            ),
-            Shown(each.holm, probability_text(each.holm)),
-            ("DIFFERS" if of_models else "CHANGED") if each.holm <= level else "-",
-        )
-        for each in joints
-    ]
     note = (
         f"RMS on the validation motion of the {'second' if of_models else 'later'} result."
         f" {change}: between the predictions of the two; by chance: expected from their standard"
         " errors; p allows for the number of joints (Holm). Effects that neither model has can"
         " appear as a change if the motions differ."
     )
-    return Table(heads, tuple(rows), title=f"RMS torque of the {change}s", details=(note,))
+    return Table.of(joints, columns, f"RMS torque of the {change}s", details=(note,))
 
 
 MOST_COLUMNS = 4

@@ -188,38 +188,19 @@ def servo_left_out(
     """
     if servo is None:
         return ()
-    lacks = f"{kind} has no place for"
-    notes = []
-    if late := servo.delay or 0.0:
-        if late < 0.0:
-            notes.append(
-                f"{lacks} a delay below zero, {1e3 * late:.3g} ms: give the simulator each command"
-                f" {-1e3 * late:.3g} ms earlier"
-            )
-        elif not delay:
-            notes.append(
-                f"{lacks} the delay of the servo: give the simulator each command"
-                f" {1e3 * late:.3g} ms later, and half of its time step, by which steps of first"
-                " order act early"
-            )
-    if servo.limits_goal:
-        notes.append(
-            f"{lacks} the limit of the goal's acceleration, {min(servo.goal_acceleration):.4g}"
-            " rad/s^2: pass commands through it"
-        )
-    if np.any(servo.deadband):
-        notes.append(
-            f"{lacks} the deadband of the servo, {max(servo.deadband):.4g} rad or m: give each"
-            " command as the position plus what of the control error is beyond it"
-        )
-    if np.any(servo.leads):
-        notes.append(
-            f"{lacks} the lead of the servo, {1e3 * max(servo.leads):.3g} ms: give each command as"
-            " the position plus this times its rate"
-        )
-    if not falling and np.any(servo.falling):
-        notes.append(
-            f"{lacks} torque limits that fall to zero at {min(servo.no_load_speed):.4g} rad/s or"
-            " m/s: it has the limits of a joint at rest"
-        )
-    return tuple(notes)
+    late = 1e3 * (servo.delay or 0.0)
+    said = {
+        f"a delay below zero, {late:.3g} ms: give the simulator each command {-late:.3g} ms"
+        " earlier": late < 0.0,
+        f"the delay of the servo: give the simulator each command {late:.3g} ms later, and half of"
+        " its time step, by which steps of first order act early": late > 0.0 and not delay,
+        f"the limit of the goal's acceleration, {min(servo.goal_acceleration):.4g} rad/s^2: pass"
+        " commands through it": servo.limits_goal,
+        f"the deadband of the servo, {max(servo.deadband):.4g} rad or m: give each command as the"
+        " position plus what of the control error is beyond it": np.any(servo.deadband),
+        f"the lead of the servo, {1e3 * max(servo.leads):.3g} ms: give each command as the position"
+        " plus this times its rate": np.any(servo.leads),
+        f"torque limits that fall to zero at {min(servo.no_load_speed):.4g} rad/s or m/s: it has"
+        " the limits of a joint at rest": not falling and np.any(servo.falling),
+    }
+    return tuple(f"{kind} has no place for {what}" for what, lost in said.items() if lost)

@@ -432,3 +432,14 @@ def drive_entries(
                 for column in columns
             ]
     return entries
+
+
+def with_drives(
+    mechanism: Mechanism, torques: list[Term], drive: DriveSet, values: Array, parameters: Array
+) -> list[Term]:
+    """Return joint torques with those of drive terms of these values added."""
+    found = list(torques)
+    for entry, value in zip(drive_entries(mechanism, drive, parameters), values, strict=True):
+        for j, column in entry.items():
+            found[j] = mechanism.code.total((found[j],), (Term(float(value)), column))
+    return found

@@ -13,8 +13,15 @@ from asbuilt.writers.programs.format import (
     ProgramFormat,
     ProgramRequest,
 )
-from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
-from asbuilt.writers.programs.program_text import commented, numbers, preamble, render, sheet_text
+from asbuilt.writers.programs.program_text import (
+    STREAMED_DECIMALS,
+    commented,
+    numbers,
+    preamble,
+    render,
+    sheet_text,
+    streamed_motion,
+)
 
 CONTROL_RATE = 1000.0
 """Rate at which the robot takes positions and checks them for jumps [Hz]."""
@@ -60,7 +67,7 @@ class FrankaFormat(ProgramFormat):
                 f" {stem}_log.csv"
             ),
         )
-        start = numbers(request.motion.start, DECIMALS)
+        start = numbers(request.motion.start, STREAMED_DECIMALS)
         source = render(
             "franka.cpp.j2",
             preamble=commented(preamble(request, self.title, use), "//"),
@@ -103,7 +110,7 @@ class FrankaFormat(ProgramFormat):
         )
         return (
             ProgramFile("program", source_name, source),
-            ProgramFile("motion", table, motion_table(request.motion, request.rate)),
+            ProgramFile("motion", table, streamed_motion(request)),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )
 

@@ -12,16 +12,17 @@ from asbuilt.writers.programs.format import (
     ProgramFormat,
     ProgramRequest,
 )
-from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
 from asbuilt.writers.programs.formats.sunrise import PACKAGE, SIGN_NOTE
 from asbuilt.writers.programs.naming import class_name
 from asbuilt.writers.programs.program_text import (
+    STREAMED_DECIMALS,
     commented,
     numbers,
     preamble,
     render,
     rounded_down,
     sheet_text,
+    streamed_motion,
 )
 
 SPEED_ALLOWANCE = 1.05
@@ -81,7 +82,7 @@ class FriFormat(ProgramFormat):
             else APPROACH_PART
         )
         values = {
-            "start": numbers(request.motion.start, DECIMALS),
+            "start": numbers(request.motion.start, STREAMED_DECIMALS),
             "tolerance": f"{request.start_tolerance.min():g}",
         }
         table_class = render(
@@ -131,7 +132,7 @@ class FriFormat(ProgramFormat):
         )
         return (
             ProgramFile("program", client, source),
-            ProgramFile("motion", table, motion_table(request.motion, request.rate)),
+            ProgramFile("motion", table, streamed_motion(request)),
             ProgramFile("application", f"{java}.java", application),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )
