@@ -42,8 +42,7 @@ class TimelineFiles:
         """Write the files that are asked for, and return their paths by kind."""
         if self.mcap is None and self.rrd is None:
             return {}
-        from asbuilt.writers.timelines.mcap_file import write_mcap
-        from asbuilt.writers.timelines.rrd_file import write_rrd
+        from asbuilt.writers.timelines.timeline_files import write_mcap, write_rrd
 
         made, files = timelines(), {}
         if self.mcap is not None:

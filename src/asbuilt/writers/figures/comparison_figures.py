@@ -35,6 +35,8 @@ CAUSE_COLOURS: dict[str, str] = {
     "links": "#7A6A53",
 }
 """One colour per cause, after Okabe and Ito (2008)."""
+MOST_DIFFERENCES = 20
+"""Parameters in the figure of differences."""
 UNEXPLAINED = "#D5D9DE"
 LABELLED = 0.035
 """Smallest share that is labelled with its number, as a part of the axis."""
@@ -43,14 +45,14 @@ CUT = 3.0
 have no bound."""
 
 
-def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
+def attribution_figure(attribution: Attribution) -> Figure:
     """Draw the shares of the causes in the squared CAD error of each joint, stacked."""
     n = len(attribution.joint_names)
     place, (low, high) = np.arange(n), _span(attribution)
     gap = 0.015 * (high - low)
     bar: dict[str, Any] = {"width": 0.68, "edgecolor": "white", "linewidth": 0.6}
     small: dict[str, Any] = {"ha": "center", "fontsize": 7.5}
-    title = title or f"{attribution.robot}: causes of the torque error of CAD (RMS on top)"
+    title = f"{attribution.robot}: causes of the torque error of CAD (RMS on top)"
     with drawn(1.05 * n + 3.2, 4.2, title) as (figure, (axis,)):
         above, below = np.zeros(n), np.zeros(n)
         for each in attribution.shares:
@@ -113,7 +115,7 @@ def _span(attribution: Attribution) -> tuple[float, float]:
     return max(-CUT, lowest), min(CUT, highest)
 
 
-def difference_figure(comparison: Comparison, *, most: int = 20, title: str = "") -> Figure:
+def difference_figure(comparison: Comparison) -> Figure:
     """Draw the parameters whose difference has the most torque, with the part that is their own.
 
     Those below a fiftieth of the largest are left out.
@@ -123,12 +125,12 @@ def difference_figure(comparison: Comparison, *, most: int = 20, title: str = ""
         each
         for each in comparison.ranked
         if each.torque_total and each.torque_total >= 0.02 * largest
-    ][:most]
+    ][:MOST_DIFFERENCES]
     place = np.arange(len(shown))
     total = np.array([each.torque_total or 0.0 for each in shown])
     own = [each.torque_own or 0.0 for each in shown]
     colours = [AS_BUILT if each.verdict == "differs" else GREY for each in shown]
-    title = title or f"{comparison.robot}: differences from CAD and their torque"
+    title = f"{comparison.robot}: differences from CAD and their torque"
     with drawn(7.6, 0.24 * max(len(shown), 1) + 1.2, title) as (figure, (axis,)):
         axis.barh(place, total, height=0.7, color=colours, alpha=0.35)
         axis.barh(place, own, height=0.7, color=colours)
@@ -156,7 +158,7 @@ CHANCE = "#D5D9DE"
 """Colour of the change expected by chance."""
 
 
-def drift_figure(drift: Drift, *, title: str = "") -> Figure:
+def drift_figure(drift: Drift) -> Figure:
     """Draw the RMS torque of all changes at each joint, and what standard errors explain below."""
     change = "difference" if drift.of_models else "change"
     joints, place = drift.joints, np.arange(len(drift.joints))
@@ -165,7 +167,7 @@ def drift_figure(drift: Drift, *, title: str = "") -> Figure:
     by_chance = np.array([each.by_chance for each in joints])
     longest = max(torque.max(initial=0.0), by_chance.max(initial=0.0)) or 1.0
     units = ", ".join(sorted({each.unit for each in joints}, reverse=True))
-    title = title or f"{drift.robot}: {change} of torque, and what standard errors explain"
+    title = f"{drift.robot}: {change} of torque, and what standard errors explain"
     with drawn(7.6, 0.46 * len(joints) + 1.3, title) as (figure, (axis,)):
         for label, shift, height, colour, lengths, shown in (
             (f"{change}, significant", -0.2, 0.38, AS_BUILT, torque, sure),

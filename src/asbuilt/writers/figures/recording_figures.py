@@ -64,7 +64,7 @@ NARROWEST = 0.004
 MARGIN = 1.25
 
 
-def watch_figure(watched: WatchedLog, *, title: str = "", narrow: bool = False) -> Figure:
+def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
     """Draw the residual of every joint in its thresholds, with the events marked.
 
     A narrow figure is for screens as wide as a telephone's.
@@ -73,7 +73,7 @@ def watch_figure(watched: WatchedLog, *, title: str = "", narrow: bool = False) 
     trace, n = watched.trace.thinned(600) if narrow else watched.trace, len(watched.joint_names)
     start, last = float(trace.t.min()), float(trace.t.max())
     said = f"external torque [{torque_unit(watched.units)}] and its thresholds"
-    title = title or (said if narrow else f"{watched.robot}: {said}")
+    title = said if narrow else f"{watched.robot}: {said}"
     mixed = len(set(watched.units)) > 1
     width = 3.9 if narrow else 8.6
     with drawn(width, 0.95 * n + 0.9, title, rows=n, sharex=True) as (figure, axes):

@@ -19,7 +19,6 @@ from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import carrying
 from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.observer import BANDWIDTH
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
@@ -291,7 +290,6 @@ def write_observer(
     result: IdentificationResult,
     *,
     thresholds: Thresholds | None = None,
-    bandwidth: float = BANDWIDTH,
 ) -> tuple[Path, Path]:
     """Write `NAME.c` and `NAME.h` with the dynamics of the robot as built and its observer.
 
@@ -315,7 +313,6 @@ def write_observer(
         observer=lambda name: observer_code(
             name,
             model.n_joints,
-            bandwidth=bandwidth,
             thresholds=thresholds,
             factor=ModelError.of(result).factor,
         ),
