@@ -15,7 +15,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built
-from asbuilt.writers.tables.mass_table import exported_masses
+from asbuilt.writers.tables.mass_tables import exported_masses
 
 PACKAGE = "asbuilt"
 REQUIRES: list[str] = []

@@ -110,9 +110,10 @@ def write_study(
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     """Write the files of a study into a folder.
 
-    These are result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as
-    built, robot.toml; cutoff.png and payload.json if there is one. If the robot came from a URDF
-    and is physically consistent, robot.urdf is that file as built.
+    These are result.json, summary.txt, parameters.csv and the robot as built, robot.toml;
+    torque.png and report.html if there are samples, which studies of a ledger lack; cutoff.png and
+    payload.json if there is one. If the robot came from a URDF and is physically consistent,
+    robot.urdf is that file as built.
 
     Parameters
     ----------
@@ -130,55 +131,30 @@ def write_study(
     tuple
         Paths by kind, and notes by kind: what a file cannot hold, or why it was not written.
     """
-    result = study.result
-    with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
-        return _write_members(folder, study, payload, command)
-
-
-def write_study_without_samples(
-    folder: Path, study: Study
-) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
-    """Write the files of a study that need no samples, as those of a ledger.
-
-    These are result.json, summary.txt, parameters.csv, robot.toml and robot.urdf. Returns paths
-    and notes as `write_study`.
-    """
-    with file_set(folder, "result.json", MEMBERS, keep=study.result.model.source):
-        files = _write_tables(folder, study, None)
-        robots, notes = _write_robot(folder, study.result)
-        return files | robots, notes
-
-
-def _write_tables(folder: Path, study: Study, payload: Payload | None) -> dict[str, Path]:
-    return {
-        "result": write_result(folder / "result.json", study),
-        "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
-        "parameters": atomic_write(
-            folder / "parameters.csv", identified_table(study.result).as_csv()
-        ),
-    }
-
-
-def _write_members(
-    folder: Path, study: Study, payload: Payload | None, command: Sequence[str]
-) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     from asbuilt.writers.figures.cutoff_figure import cutoff_figure  # noqa: PLC0415 - light start
     from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
     from asbuilt.writers.reports.report import write_report  # noqa: PLC0415 - light start
 
-    result = study.result
-    files = _write_tables(folder, study, payload)
-    if payload is not None:
-        files["payload"] = write_json(folder / "payload.json", payload_document(payload))
-    files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
-    if study.cutoffs is not None:
-        files["cutoff"] = save_figure(
-            cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"),
-            folder / "cutoff.png",
-        )
-    files["report"] = write_report(folder / "report.html", study, payload=payload, command=command)
-    robots, notes = _write_robot(folder, result)
-    return files | robots, notes
+    result, shown = study.result, [*study.validations, *study.training]
+    parameters = identified_table(result).as_csv()
+    with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
+        files = {
+            "result": write_result(folder / "result.json", study),
+            "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
+            "parameters": atomic_write(folder / "parameters.csv", parameters),
+        }
+        if payload is not None:
+            files["payload"] = write_json(folder / "payload.json", payload_document(payload))
+        if shown:
+            files["torque"] = _draw(folder / "torque.png", result, shown[0])
+        if study.cutoffs is not None:
+            drawn = cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass")
+            files["cutoff"] = save_figure(drawn, folder / "cutoff.png")
+        if shown:
+            page = folder / "report.html"
+            files["report"] = write_report(page, study, payload=payload, command=command)
+        robots, notes = _write_robot(folder, result)
+        return files | robots, notes
 
 
 def _write_robot(

@@ -291,10 +291,13 @@ class Mechanism:
         """Return force `m v + w x h` and moment `I w + h x v` of a link."""
         xx, xy, xz, yy, yz, zz, *h, m = _numbers(parameters)
         first: Vector = (h[0], h[1], h[2])
-        turned, total = self._cross(twist.z, first), self.code.total
+        turned, swung = self._cross(twist.z, first), self._cross(first, twist.m)
+        rows, total = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), self.code.total
         fx, fy, fz = (total((m, v), (t,)) for v, t in zip(twist.m, turned, strict=True))
-        spun = self._times(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), twist.z)
-        return Wrench((fx, fy, fz), self._added(spun, self._cross(first, twist.m)))
+        nx, ny, nz = (
+            total(*zip(row, twist.z, strict=True), (s,)) for row, s in zip(rows, swung, strict=True)
+        )
+        return Wrench((fx, fy, fz), (nx, ny, nz))
 
     def _screws(self) -> list[dict[int, Screw]]:
         """Return for each link the screws of the joints that move it."""
