@@ -32,7 +32,7 @@ from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.delays import settle_delays
 from asbuilt.workflow.prepare import digest
-from asbuilt.writers.tables.mass_table import exported_masses
+from asbuilt.writers.tables.mass_tables import exported_masses
 from drive_terms import SHARED, UR10E_SHEET
 from other_motions import ROBOTS, Robot
 

@@ -37,7 +37,7 @@ from asbuilt.validation.generalisation.repeated_motion import repeated_share
 from asbuilt.validation.prediction import Validation, validate_samples
 from asbuilt.workflow.delays import settle_delays
 from asbuilt.workflow.prepare import digest
-from asbuilt.writers.tables.mass_table import exported_masses
+from asbuilt.writers.tables.mass_tables import exported_masses
 from drive_terms import SHARED, UR10E_SHEET
 
 METHODS = ("auto", "wls", "consistent")

@@ -12,7 +12,7 @@ import numpy as np
 
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.thresholds import Thresholds
-from asbuilt.writers.models.c.observer_files import write_observer
+from asbuilt.writers.models.export import write_observer
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1")
 

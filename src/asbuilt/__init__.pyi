@@ -97,9 +97,9 @@ from .writers.models.convert import convert_robot as convert_robot
 from .writers.models.ensembles.ensemble_files import ensemble_model as ensemble_model
 from .writers.models.ensembles.ensemble_files import write_ensemble as write_ensemble
 from .writers.models.export import export_result as export_result
-from .writers.motion_files import write_motion as write_motion
 from .writers.pictures.view import view_robot as view_robot
 from .writers.programs.program import make_program as make_program
+from .writers.recording_files import write_motion as write_motion
 from .writers.recording_files import write_recording as write_recording
 from .writers.reports.fleet_report import write_fleet_report as write_fleet_report
 from .writers.reports.report import write_report as write_report

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 Severity = Literal["error", "warning", "info"]
@@ -80,9 +80,13 @@ class Finding:
         'a gap of 2 s at 4 s (row 9).'
         """
         message = self.message if len(self.message) < room else _clauses(self.message, room)
+        whole = replace(self, message=message).advised(cure_text)
+        return whole if len(whole) <= room else f"{message}."
+
+    def advised(self, cure_text: Callable[[Cure], str] = str) -> str:
+        """Return message and cure as sentences; `cure_text` writes the cure."""
         advice = "" if self.cure is None else cure_text(self.cure)
-        advice = f" {advice[:1].upper()}{advice[1:]}." if advice else ""
-        return f"{message}.{advice if len(message) + 1 + len(advice) <= room else ''}"
+        return f"{self.message}." + (f" {advice[:1].upper()}{advice[1:]}." if advice else "")
 
     @property
     def text(self) -> str:
@@ -93,8 +97,7 @@ class Finding:
         >>> Finding("gap", "info", "a gap of 2 s at 4 s", Cure("record again")).text
         'a gap of 2 s at 4 s. Record again.'
         """
-        advice = str(self.cure) if self.cure else ""
-        return f"{self.message}." + (f" {advice[:1].upper()}{advice[1:]}." if advice else "")
+        return self.advised()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the finding as plain data."""

@@ -10,10 +10,11 @@ import html
 import io
 import math
 import textwrap
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import Literal
+from operator import attrgetter
+from typing import Any, Literal
 
 Alignment = Literal["left", "right", "decimal"]
 
@@ -79,6 +80,13 @@ def plus_minus(value: float, error: float | None) -> str:
     """
     shown, uncertainty = rounded(value, error)
     return shown if uncertainty == MISSING else f"{shown} +/- {uncertainty}"
+
+
+def estimated(value: float, error: float | None) -> tuple[Shown, Shown, Shown]:
+    """Return the cells of a value, its standard error, and this in percent of the value."""
+    shown, uncertainty = rounded(value, error)
+    relative = None if error is None or not value else 100.0 * abs(error / value)
+    return Shown(value, shown), Shown(error, uncertainty), Shown(relative, percent(value, error))
 
 
 def percent(value: float, error: float | None) -> str:
@@ -208,19 +216,23 @@ class Column:
     align
         Alignment in text; "decimal" aligns decimal points.
     style
-        Format of a float that comes without its own text.
+        Format of a float that comes without its own text, its significant digits, or a function
+        that writes it.
     width
         Most characters in text; HTML and CSV have long cells whole.
     detail
         Whether a short text leaves the column out.
+    of
+        What the column shows of an item, for `Table.of`: a function of it, or its attribute.
     """
 
     header: str
     unit: str = ""
     align: Alignment = "left"
-    style: str = ".6g"
+    style: str | int | Callable[[float], str] = ".6g"
     width: int | None = None
     detail: bool = False
+    of: Callable[[Any], Cell] | str = ""
 
     def shown(self, cell: Cell) -> str:
         """Return the printed form of a cell."""
@@ -228,13 +240,13 @@ class Column:
             return MISSING
         if isinstance(cell, Shown):
             return cell.text
-        if isinstance(cell, str):
-            return cell
-        if isinstance(cell, int):
+        if isinstance(cell, str | int):
             return str(cell)
         if not math.isfinite(cell):
             return MISSING
-        return format(cell + 0.0, self.style)
+        if isinstance(self.style, str):
+            return format(cell + 0.0, self.style)
+        return significant(cell, self.style) if isinstance(self.style, int) else self.style(cell)
 
 
 @dataclass(frozen=True)
@@ -271,6 +283,26 @@ class Table:
                     f"row {number} of table {self.title!r} has {len(row)} cells for"
                     f" {len(self.columns)} columns: {row}"
                 )
+
+    @classmethod
+    def of(
+        cls, items: Iterable[Any], columns: Sequence[Column], title: str = "", **rest: Any
+    ) -> Table:
+        """Return the table with a row for each item, its cells by the `of` of the columns.
+
+        >>> columns = [Column("part", of="real"), Column("size", of=abs, style=3)]
+        >>> Table.of([1 + 2j], columns).as_csv().split()
+        ['part,size', '1.0,2.23606797749979']
+        """
+        cells = [attrgetter(each.of) if isinstance(each.of, str) else each.of for each in columns]
+        rows = tuple(tuple(cell(item) for cell in cells) for item in items)
+        return cls(tuple(columns), rows, title, **rest)
+
+    def filled(self) -> Table:
+        """Return the table without the columns that no row fills."""
+        kept = [k for k in range(len(self.columns)) if any(row[k] is not None for row in self.rows)]
+        rows = tuple(tuple(row[k] for k in kept) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[k] for k in kept), rows=rows)
 
     def __str__(self) -> str:
         return self.as_text()
@@ -370,7 +402,7 @@ class Table:
             ]
         )
         for row in self.rows:
-            writer.writerow([_csv_cell(cell) for cell in row])
+            writer.writerow([_in_full(c.value if isinstance(c, Shown) else c) for c in row])
         return stream.getvalue()
 
 
@@ -473,13 +505,13 @@ def _html_class(column: Column) -> str:
 
 def _html_cell(column: Column, cell: Cell) -> str:
     value = cell.value if isinstance(cell, Shown) else cell
-    is_number = isinstance(value, int | float) and math.isfinite(value)
-    full = f' data-value="{value!r}"' if is_number else ""
-    return f"<td{_html_class(column)}{full}>{html.escape(column.shown(cell))}</td>"
+    full = "" if isinstance(value, str) else _in_full(value)
+    data = f' data-value="{full}"' if full else ""
+    return f"<td{_html_class(column)}{data}>{html.escape(column.shown(cell))}</td>"
 
 
-def _csv_cell(cell: Cell) -> str:
-    value = cell.value if isinstance(cell, Shown) else cell
+def _in_full(value: str | float | None) -> str:
+    """Return a number with all its digits, a text as it is, nothing where there is neither."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""
-    return repr(value) if isinstance(value, float) else str(value)
+    return repr(float(value)) if isinstance(value, float) else str(value)

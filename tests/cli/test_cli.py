@@ -542,21 +542,14 @@ def test_view_saves_pages_and_pictures_and_results_run_forward(
     saved = document(capsys, "view", result, log, "--save", tmp_path / "motion.html")
     assert saved["duration"] == pytest.approx(12.0, abs=0.01)
     assert "__VISER_EMBED_DATA__" in Path(saved["files"]["page"]).read_text(encoding="utf-8")
-    assert call(capsys, "view", "scara", "--style", "skeleton", "--save", tmp_path / "told.png")[
-        1
-    ].startswith("written:\n  picture")
-    still = document(
-        capsys, "view", "scara", "--style", "skeleton", "--save", tmp_path / "still.png"
+    assert call(capsys, "view", "scara", "--save", tmp_path / "told.png")[1].startswith(
+        "written:\n  picture"
     )
+    still = document(capsys, "view", "scara", "--save", tmp_path / "still.png")
     assert Path(still["files"]["picture"]).read_bytes()[:4] == b"\x89PNG"
     for wrong, status, message in (
         (("ur10e", "--save", tmp_path / "a.gif"), 2, "there is no motion"),
         (("ur10e", "--save", tmp_path / "a.bmp"), 2, "a picture is written as"),
-        (
-            ("ur10e", "--style", "oil", "--save", tmp_path / "a.png"),
-            2,
-            "is not one of auto, rendered, skeleton",
-        ),
         (("ur10e", tmp_path / "none.csv"), 1, "cannot be read"),
         (("ur10e", "--port", "0"), 2, "a port is a number"),
     ):

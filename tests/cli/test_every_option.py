@@ -20,8 +20,7 @@ from asbuilt.cli.app import app
 from asbuilt.cli.commands import EVERY_COMMAND, SUBCOMMANDS
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.workflow.study import identify
-from asbuilt.writers.motion_files import write_motion
-from asbuilt.writers.recording_files import write_recording
+from asbuilt.writers.recording_files import write_motion, write_recording
 from asbuilt.writers.reports.study_files import write_result
 from command_line import call
 from fleet_logs import MODEL, recording

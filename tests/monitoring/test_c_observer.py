@@ -19,7 +19,7 @@ from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds
-from asbuilt.writers.models.c.observer_files import write_observer
+from asbuilt.writers.models.export import write_observer
 from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.reports.study_files import write_result
 from compiled_observer import Compiled, CompiledObserver

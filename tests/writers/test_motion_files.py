@@ -8,7 +8,7 @@ import pytest
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.fourier import FourierMotion
 from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.writers.motion_files import write_motion
+from asbuilt.writers.recording_files import write_motion
 
 NAMES = ("shoulder", "elbow", "joint 3")
 

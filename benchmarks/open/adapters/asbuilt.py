@@ -37,7 +37,7 @@ from asbuilt.workflow.calibration.payload_study import identify_moments
 from asbuilt.workflow.options import PayloadOptions
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built
-from asbuilt.writers.tables.mass_table import exported_masses
+from asbuilt.writers.tables.mass_tables import exported_masses
 
 PACKAGE = "asbuilt"
 REQUIRES: list[str] = []

@@ -172,9 +172,7 @@ def cure_text(cure: Cure | str | None) -> str:
 
 def finding_text(finding: Finding) -> str:
     """Return a finding as one line: severity, code, message and cure."""
-    cure = cure_text(finding.cure)
-    advice = f" {cure[0].upper()}{cure[1:]}." if cure else ""
-    return f"{finding.severity.upper()} {finding.code}: {finding.message}.{advice}"
+    return f"{finding.severity.upper()} {finding.code}: {finding.advised(cure_text)}"
 
 
 def _option_text(name: str, value: Any) -> str:

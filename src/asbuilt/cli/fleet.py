@@ -183,12 +183,12 @@ def identify(
     from asbuilt.writers.reports.study_files import (
         study_document,
         study_text,
-        write_study_without_samples,
+        write_study,
     )
 
     first, last = (None if text is None else parse_date(text) for text in (since, until))
     study = asbuilt.fleet_identify(opened, id, since=first, until=last, options=options)
-    files, notes = write_study_without_samples(out, study) if out is not None else ({}, {})
+    files, notes = write_study(out, study) if out is not None else ({}, {})
     answer(
         as_json,
         lambda: study_document(study, files, notes) | {"id": id},

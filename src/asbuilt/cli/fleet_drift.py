@@ -37,7 +37,7 @@ def drift(
     """
     opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.tables.drift_tables import drift_text
+    from asbuilt.writers.tables.fleet_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as report:
@@ -65,7 +65,7 @@ def report(
     """
     opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.tables.drift_tables import drift_text
+    from asbuilt.writers.tables.fleet_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as tell:

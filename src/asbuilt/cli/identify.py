@@ -217,7 +217,7 @@ def validate(
     logged = recordings_of(identified.model, log, reading)
     from asbuilt.validation.generalisation.cad_verdict import cad_verdict
     from asbuilt.workflow.validation import validation_verdict
-    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
+    from asbuilt.writers.reports.rollout_page import write_rollouts
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import validate_document
@@ -278,7 +278,7 @@ def _validate_described(
         )
     model, (logged,) = robot_and_recordings(described_robot(robot, **reading.of_base), reading, log)
     from asbuilt.writers.files import path_texts
-    from asbuilt.writers.reports.rollouts.rollout_page import write_rollouts
+    from asbuilt.writers.reports.rollout_page import write_rollouts
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import described_document, described_torque_table
 

@@ -64,8 +64,8 @@ def masses(
     """
     from asbuilt.tables import wrapped
     from asbuilt.writers.files import path_texts
-    from asbuilt.writers.models.masses_file import write_masses
-    from asbuilt.writers.tables.masses_tables import masses_document, masses_table
+    from asbuilt.writers.models.convert import write_masses
+    from asbuilt.writers.tables.mass_tables import masses_document, masses_table
 
     densities = _by_link("--density", density)
     found = asbuilt.link_masses(

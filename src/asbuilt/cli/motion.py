@@ -106,12 +106,7 @@ def excite(
     from asbuilt.identification.information.known_information import known_information
     from asbuilt.writers.programs.format import program_format
     from asbuilt.writers.reports.motion_report import write_motion_report
-    from asbuilt.writers.tables.design_tables import (
-        excite_document,
-        excite_text,
-        static_document,
-        static_text,
-    )
+    from asbuilt.writers.tables.design_tables import design_document, design_text
 
     if given is not None:
         known = asbuilt.read_result(given)
@@ -135,8 +130,8 @@ def excite(
         files = written(poses)
         answer(
             as_json,
-            lambda: static_document(poses, files),
-            lambda: static_text(poses, full=full, spell=cure_text) + listed_files(files),
+            lambda: design_document(poses, files),
+            lambda: design_text(poses, full=full, spell=cure_text) + listed_files(files),
         )
         return
     with progress_bar() as show:
@@ -157,8 +152,8 @@ def excite(
         files = written(design)
     answer(
         as_json,
-        lambda: excite_document(design, files),
-        lambda: excite_text(design, full=full, spell=cure_text) + listed_files(files),
+        lambda: design_document(design, files),
+        lambda: design_text(design, full=full, spell=cure_text) + listed_files(files),
     )
 
 
@@ -185,7 +180,7 @@ def _programs(
     collision: str | None,
 ) -> dict[str, Path]:
     """Write the programs of a motion into folders beside its file."""
-    from asbuilt.writers.programs.program_files import write_program
+    from asbuilt.writers.programs.program import write_program
 
     files: dict[str, Path] = {}
     for form in forms or ():
@@ -249,8 +244,12 @@ def program(
     """Write a program that makes a real controller run a motion and record it."""
     model, title = described_robot(robot), name or motion.stem
     from asbuilt.writers.programs.format import program_format
-    from asbuilt.writers.programs.program import program_request
-    from asbuilt.writers.programs.program_files import program_document, program_text, write_program
+    from asbuilt.writers.programs.program import (
+        program_document,
+        program_request,
+        program_text,
+        write_program,
+    )
 
     request = program_request(model, motion, form, name=title, rate=rate, collision=collision)
     files = write_program(out, program_format(form).files(request))

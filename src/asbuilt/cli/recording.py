@@ -70,7 +70,7 @@ def check(
     ]
     files = {}
     if out is not None:
-        from asbuilt.writers.reports.check_page import write_check_page
+        from asbuilt.writers.reports.watch_files import write_check_page
 
         files = write_check_page(out, recordings, checks, finding_text)
     answer(
@@ -279,7 +279,7 @@ def _simulate_free(
     as_json: bool,
 ) -> None:
     from asbuilt.experiment.virtual.bodies import with_body
-    from asbuilt.writers.tables.free_motion_files import (
+    from asbuilt.writers.recording_files import (
         free_motion_document,
         free_motion_text,
         write_free_motion,

@@ -58,8 +58,7 @@ def review(
         model, (recordings,) = robot_and_recordings(model, reading, log)
         from asbuilt.validation.comparison.cad_tolerance import CadTolerance
         from asbuilt.validation.review.review import PLAUSIBLE
-        from asbuilt.writers.reports.reviews.review_files import with_files, write_review
-        from asbuilt.writers.reports.reviews.review_text import review_text
+        from asbuilt.writers.reports.review_files import review_text, with_files, write_review
 
         tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
         found = asbuilt.review(

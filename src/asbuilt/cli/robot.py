@@ -35,7 +35,7 @@ from asbuilt.cli.arguments.options import (
     shared_work,
     writable_file,
 )
-from asbuilt.cli.arguments.spread import given_options, one_of
+from asbuilt.cli.arguments.spread import given_options
 
 if TYPE_CHECKING:
     from asbuilt.excitation.motions.motion import Motion
@@ -89,7 +89,7 @@ def show(
     )
     result = asbuilt.read_result(Path(robot))
     from asbuilt.writers.models.as_built import as_built_model
-    from asbuilt.writers.tables.mass_table import exported_masses, mass_table
+    from asbuilt.writers.tables.mass_tables import exported_masses, mass_table
 
     model, masses = as_built_model(result), exported_masses(result)
     answer(
@@ -182,14 +182,6 @@ def view(
             callback=writable_file,
         ),
     ] = None,
-    style: Annotated[
-        str,
-        typer.Option(
-            "--style",
-            metavar="NAME",
-            help="of pictures: auto, rendered (MuJoCo, OpenGL) or skeleton",
-        ),
-    ] = "auto",
     port: PagePort = 8080,
     browser: Browser = True,
     reading: ReadingOptions,
@@ -202,13 +194,11 @@ def view(
     model = robot_as_built(robot, fixed_base=reading.fixed_base)
     moved = None if motion is None else _played(model, motion, reading)
     about = {"robot": model.name, "duration": None if moved is None else moved.duration}
-    chosen = one_of("--style", style, ("auto", "rendered", "skeleton"))
     with progress_bar() as report:
         shown = asbuilt.view_robot(
             model,
             moved,
             save=save,
-            style=chosen,
             port=port,
             progress=lambda done: report("draw", done),
         )
@@ -235,7 +225,7 @@ def view(
 
 def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> Motion:
     """Return the motion of a motion file, or of a recording in any format."""
-    from asbuilt.writers.pictures.played_recording import motion_of_recording
+    from asbuilt.writers.pictures.motion_view import motion_of_recording
 
     options = replace(reading, fixed_base=False)
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.codec import plain
-from asbuilt.tables import Cell, Column, Shown, Table, significant
+from asbuilt.tables import Column, Table, significant
 from asbuilt.tables import share as percentage
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.prediction import torque_units
@@ -78,26 +78,24 @@ class NearestModel:
 
     def table(self) -> Table:
         """Return the errors of both, and of CAD, beside the torque, joint by joint."""
-        heads = [
+        joints = zip(self.joint_names, self.units, strict=True)
+        columns = (
             Column("RMS torque error"),
-            *(
-                Column(name, unit, "decimal", width=16)
-                for name, unit in zip(self.joint_names, self.units, strict=True)
-            ),
-        ]
-        heads.append(Column("of the torque", align="right"))
+            *(Column(name, unit, "decimal", 3, width=16) for name, unit in joints),
+            Column("of the torque", align="right", style=percentage),
+        )
         whole = float(np.linalg.norm(self.torque))
-        rows: list[tuple[Cell, ...]] = []
-        for what, errors in (
-            ("as identified", self.identified),
-            ("as written", self.nearest),
-            ("CAD", self.cad),
-            ("measured torque", self.torque),
-        ):
-            cells = [Shown(float(error), significant(float(error))) for error in errors]
-            part = float(np.linalg.norm(errors)) / whole if whole else None
-            rows.append((what, *cells, Shown(part, percentage(part))))
-        return Table(tuple(heads), tuple(rows), title=f"On {self.judged_by}")
+        errors = {
+            "as identified": self.identified,
+            "as written": self.nearest,
+            "CAD": self.cad,
+            "measured torque": self.torque,
+        }
+        rows = (
+            (what, *each.tolist(), float(np.linalg.norm(each)) / whole if whole else None)
+            for what, each in errors.items()
+        )
+        return Table(columns, tuple(rows), title=f"On {self.judged_by}")
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers and lists, ready for JSON."""

@@ -21,7 +21,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Table, share, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.drift import Drift, compare_results
-from asbuilt.validation.comparison.torque_error_table import torque_error_table
+from asbuilt.validation.comparison.torque_change import torque_error_table
 from asbuilt.validation.prediction import torque_units, validate_samples
 from asbuilt.workflow.options import ControllerOptions
 from asbuilt.workflow.prepare import prepare

@@ -6,12 +6,12 @@ from .models.ensembles.ensemble_files import ensemble_model as ensemble_model
 from .models.ensembles.ensemble_files import write_ensemble as write_ensemble
 from .models.export import Export as Export
 from .models.export import export_result as export_result
-from .motion_files import write_motion as write_motion
-from .pictures.animation import write_picture as write_picture
 from .pictures.view import view_robot as view_robot
+from .pictures.view import write_picture as write_picture
 from .pictures.viewer import Viewer as Viewer
 from .programs.format import program_format as program_format
 from .programs.program import make_program as make_program
+from .recording_files import write_motion as write_motion
 from .recording_files import write_recording as write_recording
 from .recording_files import write_simulation as write_simulation
 from .reports.fleet_report import write_fleet_report as write_fleet_report

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from asbuilt.writing import atomic_write, check_writable, file_set
 
-__all__ = ["atomic_write", "check_writable", "file_lines", "file_set", "path_texts"]
+__all__ = ["atomic_write", "check_writable", "data_address", "file_lines", "file_set", "path_texts"]
 
 
 def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, str]:
     """Return the paths of files by kind as text, for documents."""
     return {kind: os.fspath(path) for kind, path in (files or {}).items()}
+
+
+def data_address(content: bytes, kind: str) -> str:
+    """Return the address of content that a page holds itself; `kind` such as `image/png`."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def file_lines(

@@ -1,26 +1,36 @@
-"""Files of recordings, and of the truth behind simulated ones."""
+"""Files of recordings and motions, and of simulated ones with the truth behind them."""
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
 import polars as pl
 import tomli_w
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
-from asbuilt.errors import UsageError
+from asbuilt.errors import MotionError, UsageError
+from asbuilt.excitation.motions.motion import Motion, Trajectory
+from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.virtual.free_motion import FreeMotion
 from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording
+from asbuilt.tables import significant, wrapped
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.tables.tabular import write_json
+
+WHAT = {
+    "drop": "released at rest, drives without torque",
+    "step": "a step of all joints under a controller of 3 Hz",
+    "free": "free motion without friction or drive torque",
+}
 
 
 def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
@@ -41,25 +51,33 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
             file=str(path),
             available=(".csv", ".parquet"),
         )
-    columns: dict[str, Any] = {"t": recording.t}
     command = recording.command if recording.torque_source == "command" else None
-    for symbol, values in (
-        ("q", recording.q),
-        ("qd", recording.qd),
-        ("qdd", recording.qdd),
-        ("tau" if command is None else "command", recording.tau if command is None else command),
-    ):
-        if values is not None:
-            columns |= {
-                f"{symbol}_{name}": np.ascontiguousarray(values[:, k])
-                for k, name in enumerate(recording.joint_names)
-            }
-    content = io.BytesIO()
-    frame = pl.DataFrame(columns)
-    if suffix == ".csv":
-        frame.write_csv(content)
-    else:
-        frame.write_parquet(content)
+    effort = {"tau": recording.tau} if command is None else {"command": command}
+    logged = {"q": recording.q, "qd": recording.qd, "qdd": recording.qdd, **effort}
+    return write_columns(path, recording.t, recording.joint_names, logged)
+
+
+def write_columns(
+    path: str | os.PathLike[str],
+    t: Array,
+    names: Sequence[str],
+    quantities: Mapping[str, Array | None],
+    more: Mapping[str, Array] | None = None,
+) -> Path:
+    """Write times (N,), and quantities of all joints (N, n) as `QUANTITY_NAME`, and `more` (N,).
+
+    As Parquet if the suffix is .parquet, else as CSV with the digits that read back to the same
+    double.
+    """
+    of_joints = {
+        f"{quantity}_{name}": np.ascontiguousarray(values[:, k])
+        for quantity, values in quantities.items()
+        if values is not None
+        for k, name in enumerate(names)
+    }
+    frame, content = pl.DataFrame({"t": t, **of_joints, **(more or {})}), io.BytesIO()
+    in_parquet = Path(path).suffix.lower() == ".parquet"
+    (frame.write_parquet if in_parquet else frame.write_csv)(content)
     return atomic_write(path, content.getvalue())
 
 
@@ -146,7 +164,7 @@ def simulation_text(simulated: SimulatedRecording) -> str:
         f"{simulated.model.name}: {recording.n_samples} samples x {recording.n_joints} joints,"
         f" {recording.duration:.4g} s at {recording.rate:.4g} Hz"
     )
-    return "\n".join([head, *(line for note in recording.notes for line in wrap(note, 80))])
+    return "\n".join([head, *map(wrapped, recording.notes)])
 
 
 def simulate_document(simulated: SimulatedRecording, files: Mapping[str, Path]) -> dict[str, Any]:
@@ -161,3 +179,85 @@ def simulate_document(simulated: SimulatedRecording, files: Mapping[str, Path]) 
         "drive": str(simulated.drive),
         "files": path_texts(files),
     }
+
+
+def write_motion(
+    path: str | os.PathLike[str],
+    motion: Motion | Trajectory,
+    joint_names: Sequence[str],
+    rate: float = 1000.0,
+) -> Path:
+    """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV.
+
+    Numbers have the digits that read back to the same double.
+
+    The end of a motion is its last line whatever the rate, so that a motion that ends at rest does
+    so in the file. Raises MotionError if names and joints do not go together, UsageError if the
+    place is not writable.
+    """
+    trajectory = motion if isinstance(motion, Trajectory) else _sampled_to_end(motion, rate)
+    names = tuple(joint_names)
+    if len(names) != trajectory.n_joints or len(set(names)) != len(names):
+        raise MotionError(
+            f"a motion of {trajectory.n_joints} joints needs as many different names, got"
+            f" {', '.join(names) or 'none'}"
+        )
+    states = (trajectory.q, trajectory.qd, trajectory.qdd)
+    prefixes = (prefix.rstrip("_") for prefix in PREFIXES)
+    return write_columns(path, trajectory.t, names, dict(zip(prefixes, states, strict=True)))
+
+
+def _sampled_to_end(motion: Motion, rate: float) -> Trajectory:
+    t = times_to_end(motion, rate)
+    return Trajectory(t, *motion.at(t))
+
+
+def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
+    """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG."""
+    from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
+    from asbuilt.writers.figures.recording_figures import energy_figure  # noqa: PLC0415 - light start
+
+    states = {"q": motion.q, "qd": motion.qd, "tau": motion.tau}
+    energies = {
+        name: getattr(motion, name) for name in ("kinetic", "potential", "work", "dissipated")
+    }
+    table = write_columns(path, motion.t, motion.model.joint_names, states, energies)
+    title = f"{motion.model.name}: {WHAT[motion.release]}"
+    return {
+        "motion": table,
+        "figure": save_figure(energy_figure(motion, title=title), table.with_suffix(".png")),
+    }
+
+
+def free_motion_document(motion: FreeMotion, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return what `asbuilt simulate --free --json` prints; energies in J."""
+    return {
+        "robot": motion.model.name,
+        "release": motion.release,
+        "duration": float(motion.t[-1]),
+        "n_samples": int(motion.t.size),
+        "joints": list(motion.model.joint_names),
+        "start": motion.q[0].tolist(),
+        "end": motion.q[-1].tolist(),
+        "largest_velocity": np.max(np.abs(motion.qd), axis=0).tolist(),
+        "energy": {
+            "largest_kinetic": float(motion.kinetic.max()),
+            "lowest_potential": float(motion.potential.min()),
+            "work": float(motion.work[-1]),
+            "dissipated": float(motion.dissipated[-1]),
+            "imbalance": motion.imbalance,
+        },
+        "files": path_texts(files),
+    }
+
+
+def free_motion_text(motion: FreeMotion) -> str:
+    """Return the energy balance in three lines."""
+    energies = motion.kinetic.max(), motion.potential.min(), motion.work[-1], motion.dissipated[-1]
+    kinetic, potential, work, dissipated = map(significant, energies)
+    return (
+        f"{motion.model.name}, {WHAT[motion.release]}, {motion.t[-1]:g} s\n"
+        f"kinetic energy up to {kinetic} J, potential energy down to {potential} J\n"
+        f"work of the drives {work} J, dissipated {dissipated} J; error of the balance"
+        f" {motion.imbalance:.1e}"
+    )

@@ -20,7 +20,7 @@ from asbuilt.excitation.collision.distances import nearest_on_segments, nearest_
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.static_poses import design_static_poses
-from asbuilt.writers.tables.design_tables import excite_text, static_text
+from asbuilt.writers.tables.design_tables import design_text
 
 coal = pytest.importorskip("coal")
 
@@ -147,7 +147,7 @@ def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
     options = DesignOptions(duration=6.0, size=4, starts=1, time_limit=4.0, drive="none")
     design = design_motion(model, options, constraints=constraints, with_bound=False, cores=1)
     standing = design_static_poses(model, 4, constraints=constraints)
-    for written in (excite_text(design), static_text(standing)):
+    for written in (design_text(design), design_text(standing)):
         text = " ".join(written.split())
         assert re.search(r"NOT CHECKED, they touch in nearly every pose: .*link_\d - crate", text)
 

@@ -22,7 +22,7 @@ from asbuilt.excitation.information.efficiency import information_efficiency
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.tables.design_tables import excite_text
+from asbuilt.writers.tables.design_tables import design_text
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 QUICK = DesignOptions(duration=8.0, size=4, starts=2, time_limit=60.0)
@@ -159,7 +159,7 @@ def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
     assert det[0] < det[1]
     with pytest.raises(UsageError, match="no base parameter 'Izz9'"):
         design_motion(model, replace(QUICK, focus=("Izz9",)))
-    lines = excite_text(focused).splitlines()
+    lines = design_text(focused).splitlines()
     heads = next(k for k, line in enumerate(lines) if line.startswith("parameters in focus, then"))
     assert [line.split()[0] for line in lines[heads + 4 : heads + 6]] == ["16", "11"]
     assert any(line.split() == ["criterion", "d,", "for", "Izz2", "and", "11"] for line in lines)
@@ -176,7 +176,7 @@ def test_what_a_motion_cannot_tell_has_an_infinite_error(arm) -> None:
     one = np.append(rest, pair[0])
     expected = np.sqrt(np.diag(np.linalg.inv(design.information[np.ix_(one, one)])))[:-1]
     np.testing.assert_allclose(blind.std_errors[rest], expected, rtol=1e-6)
-    written = excite_text(blind)
+    written = design_text(blind)
     assert written.count("  undetermined") == 2
     assert "2 parameters UNDETERMINED" in written
     assert "above 1e+07" in written

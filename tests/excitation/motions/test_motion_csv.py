@@ -10,7 +10,7 @@ from asbuilt.description.model import Joint, Link, RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.fourier import FourierMotion
 from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.writers.motion_files import write_motion
+from asbuilt.writers.recording_files import write_motion
 
 NAMES = ("shoulder", "elbow", "joint 3")
 

@@ -17,7 +17,7 @@ from asbuilt.errors import ResultError
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.attribution.attribution import attribute
 from asbuilt.validation.attribution.causes import BEFORE, CAUSES, shapley_values
-from asbuilt.writers.figures.cause_figures import attribution_figure
+from asbuilt.writers.figures.comparison_figures import attribution_figure
 from asbuilt.writers.tables.tabular import json_text
 
 ARM = "kuka-iiwa7-r800"

@@ -15,7 +15,7 @@ from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.workflow.controller_model import compare_controller
 from asbuilt.workflow.options import ControllerOptions
-from asbuilt.writers.reports.drift_report import drift_html
+from asbuilt.writers.reports.compare_files import drift_html
 
 ARM = "kuka-iiwa7-r800"
 WORN = (1.0, 2.0, 1.0, 2.0, 1.4, 3.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0)

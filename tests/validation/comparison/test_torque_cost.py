@@ -19,7 +19,7 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.comparison.torque_cost import torque_cost
 from asbuilt.validation.prediction import validate_samples
-from asbuilt.writers.figures.cause_figures import difference_figure
+from asbuilt.writers.figures.comparison_figures import difference_figure
 
 ARM = "kuka-iiwa7-r800"
 

@@ -21,7 +21,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
-from asbuilt.writers.pictures.round_mesh import round_mesh
+from asbuilt.writers.pictures.skeleton import round_mesh
 from asbuilt.writers.pictures.viewer import Viewer
 
 

@@ -12,7 +12,7 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.sheet import read_sheet
-from asbuilt.writers.motion_files import write_motion
+from asbuilt.writers.recording_files import write_motion
 from command_line import call
 
 

@@ -35,8 +35,7 @@ from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import read_sheet
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, program_format
 from asbuilt.writers.programs.naming import class_name, file_stem, identifier, plain_text
-from asbuilt.writers.programs.program import make_program
-from asbuilt.writers.programs.program_files import write_program
+from asbuilt.writers.programs.program import make_program, write_program
 from asbuilt.writers.programs.via_points import hermite_knots, point_to_point_segments
 
 ALLOWED = {

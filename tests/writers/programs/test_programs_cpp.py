@@ -16,8 +16,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.writers.programs.program import make_program
-from asbuilt.writers.programs.program_files import write_program
+from asbuilt.writers.programs.program import make_program, write_program
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not here")
 

@@ -18,8 +18,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.programs.program import make_program
-from asbuilt.writers.programs.program_files import write_program
+from asbuilt.writers.programs.program import make_program, write_program
 
 pytestmark = pytest.mark.skipif(shutil.which("javac") is None, reason="javac is not here")
 

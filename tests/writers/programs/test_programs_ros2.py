@@ -17,8 +17,7 @@ import yaml
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.programs.program import make_program
-from asbuilt.writers.programs.program_files import write_program
+from asbuilt.writers.programs.program import make_program, write_program
 
 ROBOTS = ("ur10e", "scara")
 

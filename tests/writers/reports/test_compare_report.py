@@ -13,7 +13,6 @@ from asbuilt.identification.result.determination import determination
 from asbuilt.validation.attribution.attribution import attribute
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.writers.reports.compare_files import CadVerdict, write_comparison
-from asbuilt.writers.reports.compare_report import comparison_html
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "validation"))
 from virtual_causes import identified
@@ -60,11 +59,10 @@ def test_page_and_text_begin_with_what_matters(files: dict[str, Path]) -> None:
 
 
 def test_page_without_evidence_has_the_torque_table(example: Any) -> None:
-    page = comparison_html(
-        example.result, compare(example.result), None, determination(example.result)
-    )
+    verdict = CadVerdict(compare(example.result), None, determination(example.result))
+    page = verdict.as_html(example.result)
     assert 'id="joint-table"' in page
     assert "<img src=x" not in page
-    said = CadVerdict(compare(example.result), None, determination(example.result)).as_text()
+    said = verdict.as_text()
     for text in (page, " ".join(said.split())):
         assert "Causes of the CAD error, and the torque of differences, are unknown" in text

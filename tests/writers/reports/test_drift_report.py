@@ -22,9 +22,8 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.validation.comparison.drift import Drift, compare_results
 from asbuilt.workflow.controller_model import ControllerComparison, compare_controller
 from asbuilt.workflow.options import ControllerOptions
-from asbuilt.writers.figures.drift_figure import drift_figure
-from asbuilt.writers.reports.compare_files import write_drift
-from asbuilt.writers.reports.drift_report import drift_html
+from asbuilt.writers.figures.comparison_figures import drift_figure
+from asbuilt.writers.reports.compare_files import drift_html, write_drift
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "validation"))
 from virtual_causes import identified, recorded

@@ -8,8 +8,7 @@ import pytest
 
 from asbuilt import load_robot, review, simulate_recording
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.reports.reviews.review_files import with_files, write_review
-from asbuilt.writers.reports.reviews.review_text import review_document
+from asbuilt.writers.reports.review_files import review_document, with_files, write_review
 
 
 @pytest.fixture(scope="module")

@@ -40,8 +40,7 @@ class TimelineFiles:
 
     def write(self, timelines: Callable[[], Sequence[Timeline]]) -> dict[str, Path]:
         """Write the files that are asked for, and return their paths by kind."""
-        from asbuilt.writers.timelines.mcap_file import write_mcap
-        from asbuilt.writers.timelines.rrd_file import write_rrd
+        from asbuilt.writers.timelines.timeline_files import write_mcap, write_rrd
 
         writers = {"mcap": (self.mcap, write_mcap), "rrd": (self.rrd, write_rrd)}
         asked = {kind: each for kind, each in writers.items() if each[0] is not None}

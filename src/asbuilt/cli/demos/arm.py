@@ -38,7 +38,7 @@ from asbuilt.writers.files import path_texts
 from asbuilt.writers.models.export import Export, export_result
 from asbuilt.writers.recording_files import simulate_document, write_simulation
 from asbuilt.writers.reports.motion_report import write_motion_report
-from asbuilt.writers.tables.design_tables import excite_document
+from asbuilt.writers.tables.design_tables import design_document
 from asbuilt.writers.tables.tabular import identify_document
 
 Progress = Callable[[str, float], None]
@@ -257,7 +257,7 @@ def _line(label: str, text: str) -> str:
 def demo_document(story: Demo) -> dict[str, Any]:
     """Return what `asbuilt demo --json` prints."""
     return {
-        "excite": excite_document(story.design, {}),
+        "excite": design_document(story.design, {}),
         "simulate": simulate_document(story.training, {}),
         "identify": identify_document(story.study),
         "compare": (

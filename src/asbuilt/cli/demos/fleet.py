@@ -26,8 +26,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.tables import Column, Table, wrapped
 from asbuilt.validation.comparison.drift import Drift, compare_results
 from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from
-from asbuilt.writers.tables.drift_tables import drift_verdict
-from asbuilt.writers.tables.fleet_tables import addition_document
+from asbuilt.writers.tables.fleet_tables import addition_document, drift_verdict
 
 Progress = Callable[[str, float], None]
 

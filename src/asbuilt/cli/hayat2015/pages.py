@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,8 +20,8 @@ from asbuilt.cli.hayat2015.tables import (
 )
 from asbuilt.tables import stacked, wrapped
 from asbuilt.writers.figures.figure_style import save_figure
-from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.reports.page import page, table_markup
+from asbuilt.writers.files import atomic_write, data_address, path_texts
+from asbuilt.writers.reports.page import Block, image_markup, list_markup, page, table_markup
 
 SOURCE = (
     "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic Identification of Manipulator: Comparison"
@@ -76,30 +75,22 @@ def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
 def reproduction_html(redone: Reproduction) -> str:
     """Return the page with every table and figure, complete in one file."""
     tables, figures = all_tables(redone), all_figures(redone)
-    parts = [
-        [
-            {
-                "name": name,
-                "table": table_markup(tables[name], name) if name in tables else None,
-                "image": _png_address(figures[name]) if name in figures else None,
-            }
-            for name in names
-        ]
-        for names in ORDER
-    ]
-    return page(
-        "reproduction.html.j2",
-        title="The 2015 paper, reproduced",
-        source=SOURCE,
-        sentences=sentences(redone),
-        sections=list(zip(("CAD", "Robot"), parts, strict=True)),
+    shown = {name: table_markup(table, name) for name, table in tables.items()} | {
+        name: image_markup(_png_address(figure), name) for name, figure in figures.items()
+    }
+    blocks = (
+        Block(heading.lower(), heading, [shown[name] for name in names])
+        for heading, names in zip(("CAD", "Robot"), ORDER, strict=True)
     )
+    verdict = Block("verdict", "Verdict", (list_markup(sentences(redone)),))
+    title = "The 2015 paper, reproduced"
+    return page("The 2015 paper", "reproduced", [verdict, *blocks], title=title, subtitle=SOURCE)
 
 
 def _png_address(figure: Figure) -> str:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    return data_address(stream.getvalue(), "image/png")
 
 
 def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> dict[str, Any]:

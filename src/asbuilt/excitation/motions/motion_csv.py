@@ -1,6 +1,6 @@
 """Motions from CSV files: `t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units.
 
-`asbuilt.writers.motion_files` writes them.
+`asbuilt.writers.recording_files` writes them.
 """
 
 from __future__ import annotations

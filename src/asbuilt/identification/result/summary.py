@@ -25,9 +25,8 @@ from asbuilt.tables import (
     Table,
     beside,
     deviation,
+    estimated,
     numbered,
-    percent,
-    rounded,
     share,
     significant,
     wrapped,
@@ -137,12 +136,10 @@ class Summary:
 
     def with_mass(
         self,
-        totals: tuple[float | None, float] | None,
+        totals: tuple[float | None, float],
         links: Sequence[tuple[str, float | None, float]] = (),
     ) -> Summary:
         """Return the summary with masses by CAD and as built [kg]: total, and each of `links`."""
-        if totals is None:
-            return self
         cad, built = (significant(mass) for mass in totals)
         of_links = "; ".join(f"{name} {_mass(cad)} -> {_mass(built)}" for name, cad, built in links)
         more = (("each link [kg]", of_links),) if len(links) > 1 else ()
@@ -200,12 +197,7 @@ def _mass(mass: float | None) -> str:
 
 def finding_lines(findings: Sequence[Finding], cure_text: Callable[[Cure], str] = str) -> list[str]:
     """Return ranked findings, whole, as lines of 80 columns."""
-    lines = []
-    for finding in findings:
-        cure = "" if finding.cure is None else cure_text(finding.cure)
-        advice = f" {cure[0].upper()}{cure[1:]}." if cure else ""
-        lines.append(wrapped(f"{finding.message}.{advice}", f"{finding.severity.upper():<7}  "))
-    return lines
+    return [wrapped(each.advised(cure_text), f"{each.severity.upper():<7}  ") for each in findings]
 
 
 def _heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
@@ -289,7 +281,7 @@ def _important(result: IdentificationResult) -> tuple[int, ...]:
 
 
 def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
-    estimate, error = rounded(parameter.estimate, parameter.std_error)
+    estimate, error, percentage = estimated(parameter.estimate, parameter.std_error)
     sigmas = parameter.difference_in_sigmas
     outcome = deviation(sigmas) if parameter.determined else "UNDETERMINED"
     return (
@@ -297,9 +289,9 @@ def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
         parameter.expression,
         parameter.unit,
         Shown(parameter.cad, beside(parameter.cad, parameter.std_error) if parameter.cad else "0"),
-        Shown(parameter.estimate, estimate),
-        Shown(parameter.std_error, DROPPED if parameter.dropped else error),
-        Shown(100.0 * parameter.relative_error, percent(parameter.estimate, parameter.std_error)),
+        estimate,
+        Shown(parameter.std_error, DROPPED) if parameter.dropped else error,
+        percentage,
         Shown(sigmas, DROPPED if parameter.dropped else outcome),
     )
 
@@ -309,37 +301,34 @@ def _joint_table(result: IdentificationResult) -> Table:
     kinds = ["N m" if joint.is_revolute else "N" for joint in result.model.joints]
     mixed = len(set(kinds)) > 1
     unit = "" if mixed else kinds[0]
-    held_out = [
-        Column(
-            f"as built {i}" if len(result.validation) > 1 else "as built",
-            unit,
-            "decimal",
-            detail=i > 1,
-        )
-        for i in range(1, len(result.validation) + 1)
-    ]
+    several = len(result.validation) > 1
+    shown = result.validation[0] if result.validation else result.train
+    errors = {
+        "training": result.train,
+        **{
+            f"as built {i}" if several else "as built": e
+            for i, e in enumerate(result.validation, 1)
+        },
+        "CAD": result.cad,
+    }
+    first = f"as built{' 1' if several else ''}" if result.validation else "training"
     columns = (
         Column("joint", width=30),
         *([Column("unit")] if mixed else []),
-        Column("training", unit, "decimal", detail=bool(held_out)),
-        *held_out,
-        Column("CAD", unit, "decimal"),
+        *(Column(name, unit, "decimal", 3, None, name not in (first, "CAD")) for name in errors),
         Column("of torque", "%", "decimal", ".1f"),
         Column("R2", "", "decimal", ".4f", detail=True),
     )
-    shown = result.validation[0] if result.validation else result.train
-    rows: list[tuple[Cell, ...]] = []
-    for k, name in enumerate(result.joint_names):
-        errors = [each.rms[k] for each in (result.train, *result.validation, result.cad)]
-        rows.append(
-            (
-                name,
-                *([kinds[k]] if mixed else []),
-                *(Shown(float(error), significant(float(error))) for error in errors),
-                100.0 * float(shown.relative_error_per_joint[k]),
-                float(result.train.r_squared[k]),
-            )
+    rows = (
+        (
+            name,
+            *([kinds[k]] if mixed else []),
+            *(each.rms[k] for each in errors.values()),
+            100.0 * shown.relative_error_per_joint[k],
+            result.train.r_squared[k],
         )
+        for k, name in enumerate(result.joint_names)
+    )
     whole, _, held = shown.source.partition(", held out ")
     source = f"{PurePath(whole).name}{', held out' if held else ''}"
     return Table(columns, tuple(rows), title=f"RMS torque error on {source}")

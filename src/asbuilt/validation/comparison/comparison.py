@@ -26,8 +26,8 @@ from asbuilt.validation.comparison.significance import (
     benjamini_hochberg,
     holm,
 )
+from asbuilt.validation.comparison.torque_change import torque_error_table
 from asbuilt.validation.comparison.torque_cost import torque_cost
-from asbuilt.validation.comparison.torque_error_table import torque_error_table
 from asbuilt.validation.prediction import Validation, cad_values, torque_units
 
 if TYPE_CHECKING:
@@ -178,17 +178,7 @@ class Comparison:
 
     def torque_table(self) -> Table:
         """Return the RMS torque errors as in Table 3 of the 2015 paper, a column per recording."""
-        number = [f" [{k + 1}]" if len(self.torque) > 1 else "" for k in range(len(self.torque))]
-        named = [
-            (f"{what}{number[k]}", metrics)
-            for k, pair in enumerate(self.torque)
-            for what, metrics in zip(("CAD", "as built"), pair, strict=True)
-            if metrics is not None
-        ]
-        sources = tuple(recording_name(built.source) for _, built in self.torque)
-        if len(sources) == 1:
-            return torque_error_table(named, self.units, f"RMS torque error on {sources[0]}")
-        return torque_error_table(named, self.units, "RMS torque error", sources)
+        return paired_torque_table(self.torque, ("CAD", "as built"), self.units)
 
     def as_text(self, full: bool = False) -> str:
         """Return verdict and both tables for a terminal.
@@ -367,6 +357,28 @@ def compare(
         errors=result.errors_sentence,
         judged_by="" if result.cause_data is None else recording_name(result.cause_data.judged_by),
     )
+
+
+def paired_torque_table(
+    pairs: Sequence[tuple[TorqueMetrics | None, TorqueMetrics]],
+    names: tuple[str, str],
+    units: Sequence[str],
+) -> Table:
+    """Return the table of pairs of errors, a pair of named columns for each recording.
+
+    Several recordings are numbered, with a legend.
+    """
+    number = [f" [{k + 1}]" if len(pairs) > 1 else "" for k in range(len(pairs))]
+    named = [
+        (f"{what}{number[k]}", metrics)
+        for k, pair in enumerate(pairs)
+        for what, metrics in zip(names, pair, strict=True)
+        if metrics is not None
+    ]
+    sources = tuple(recording_name(second.source) for _, second in pairs)
+    if len(sources) == 1:
+        return torque_error_table(named, units, f"RMS torque error on {sources[0]}")
+    return torque_error_table(named, units, "RMS torque error", sources)
 
 
 def recording_name(source: str) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import ResultError
-from asbuilt.tables import Cell, Column, Shown, Table, significant
+from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.significance import holm, probability_text, size_probability
 from asbuilt.validation.prediction import torque_units
 
@@ -110,30 +111,59 @@ def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool 
     """Return the torque of all changes together joint by joint, with a significance test."""
     change = "difference" if of_models else "change"
     unit = joints[0].unit if len({each.unit for each in joints}) == 1 else ""
-    heads = (
-        Column("joint", width=20),
-        *([] if unit else [Column("unit")]),
-        *(Column(name, unit, "decimal") for name in ("torque", change, "by chance")),
-        Column("p", align="right"),
-        Column("verdict"),
+    beyond_doubt = "DIFFERS" if of_models else "CHANGED"
+    columns = (
+        Column("joint", width=20, of="joint"),
+        *([] if unit else [Column("unit", of="unit")]),
+        Column("torque", unit, "decimal", 3, of="torque_of_motion"),
+        Column(change, unit, "decimal", 3, of="torque"),
+        Column("by chance", unit, "decimal", 3, of="by_chance"),
+        Column("p", "", "right", probability_text, of="holm"),
+        Column("verdict", of=lambda each: beyond_doubt if each.holm <= level else "-"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            each.joint,
-            *([] if unit else [each.unit]),
-            *(
-                Shown(value, significant(value))
-                for value in (each.torque_of_motion, each.torque, each.by_chance)
-            ),
-            Shown(each.holm, probability_text(each.holm)),
-            ("DIFFERS" if of_models else "CHANGED") if each.holm <= level else "-",
-        )
-        for each in joints
-    ]
     note = (
         f"RMS on the validation motion of the {'second' if of_models else 'later'} result."
         f" {change}: between the predictions of the two; by chance: expected from their standard"
         " errors; p allows for the number of joints (Holm). Effects that neither model has can"
         " appear as a change if the motions differ."
     )
-    return Table(heads, tuple(rows), title=f"RMS torque of the {change}s", details=(note,))
+    return Table.of(joints, columns, f"RMS torque of the {change}s", details=(note,))
+
+
+MOST_COLUMNS = 4
+"""Predictions in a short text."""
+
+
+def torque_error_table(
+    predictions: Sequence[tuple[str, TorqueMetrics]],
+    units: Sequence[str],
+    title: str,
+    notes: tuple[str, ...] = (),
+) -> Table:
+    """Return the RMS errors of named predictions joint by joint, and their relative errors.
+
+    Parameters
+    ----------
+    predictions
+        Heads of columns with the errors below.
+    units
+        Torque unit of each joint.
+    title, notes
+        Title and notes of the table.
+    """
+    unit, mixed = ("", True) if len(set(units)) > 1 else (units[0], False)
+    heads = (
+        Column("joint", width=24),
+        *([Column("unit")] if mixed else []),
+        *(
+            Column(name, unit, "decimal", 3, detail=k >= MOST_COLUMNS)
+            for k, (name, _) in enumerate(predictions)
+        ),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (name, *([units[k]] if mixed else []), *(float(e.rms[k]) for _, e in predictions))
+        for k, name in enumerate(predictions[0][1].joint_names)
+    ]
+    relative = (Shown(e.relative_error, share(e.relative_error)) for _, e in predictions)
+    rows.append(("relative error", *([""] if mixed else []), *relative))
+    return Table(heads, tuple(rows), title=title, notes=notes)

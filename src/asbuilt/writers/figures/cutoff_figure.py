@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
@@ -13,35 +12,25 @@ from asbuilt.writers.figures.figure_style import (
     GREEN,
     GREY,
     VERMILION,
-    blank_figure,
-    headline,
-    styled,
+    drawn,
 )
 
 
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
     """Draw held-out error and the whiteness of the residual against the cutoff."""
-    cutoffs = np.array([trial.cutoff for trial in sweep.trials])
-    with styled():
-        figure = blank_figure(7.0, 4.6)
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        upper.plot(
-            cutoffs,
-            [trial.score for trial in sweep.trials],
-            color=VERMILION,
-            marker="o",
-            markersize=4,
-            label="against unfiltered torque",
-        )
-        upper.plot(
-            cutoffs,
-            [trial.in_band for trial in sweep.trials],
-            color=GREY,
-            marker="o",
-            markersize=3,
-            linestyle="--",
-            label="against filtered torque",
-        )
+    cutoffs = [trial.cutoff for trial in sweep.trials]
+    with drawn(7.0, 4.6, title, rows=2, sharex=True, height_ratios=(3, 2)) as (figure, axes):
+        upper, lower = axes
+        right = lower.twinx()
+        for axis, name, factor, colour, mark, size, style, label in (
+            (upper, "score", 1, VERMILION, "o", 4, "-", "against unfiltered torque"),
+            (upper, "in_band", 1, GREY, "o", 3, "--", "against filtered torque"),
+            (lower, "durbin_watson", 1, BLUE, "o", 4, "-", ""),
+            (right, "effective_share", 100, GREEN, "s", 3, "-", ""),
+        ):
+            values = [factor * getattr(trial, name) for trial in sweep.trials]
+            look = {"color": colour, "marker": mark, "markersize": size, "linestyle": style}
+            axis.plot(cutoffs, values, label=label, **look)
         upper.set_ylabel("held-out error,\nrelative to the best")
         upper.legend(loc="best")
         # Held-out error, relative to the best, above which the axis is logarithmic.
@@ -50,31 +39,14 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
             upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             upper.yaxis.set_major_formatter(ScalarFormatter())
             upper.yaxis.set_minor_locator(NullLocator())
-        lower.plot(
-            cutoffs,
-            [trial.durbin_watson for trial in sweep.trials],
-            color=BLUE,
-            marker="o",
-            markersize=4,
-        )
-        share = lower.twinx()
-        share.plot(
-            cutoffs,
-            [100 * trial.effective_share for trial in sweep.trials],
-            color=GREEN,
-            marker="s",
-            markersize=3,
-        )
-        share.set_ylabel("independent samples\n[% of white]", color=GREEN)
-        share.set_ylim(bottom=0.0)
-        share.grid(visible=False)
+        right.set_ylabel("independent samples\n[% of white]", color=GREEN)
+        right.set_ylim(bottom=0.0)
+        right.grid(visible=False)
         lower.set_ylabel("Durbin-Watson\n(white: 2)", color=BLUE)
         lower.set_ylim(bottom=0.0)
-        lower.set_xscale("log")
-        lower.set_xticks(cutoffs, [significant(float(cutoff), 2) for cutoff in cutoffs])
+        lower.set(xscale="log", xlabel="cutoff [Hz]")
+        lower.set_xticks(cutoffs, [significant(cutoff, 2) for cutoff in cutoffs])
         lower.minorticks_off()
-        lower.set_xlabel("cutoff [Hz]")
         for axis in (upper, lower):
             axis.axvline(sweep.chosen, color=VERMILION, linewidth=0.8, linestyle=":")
-        headline(figure, title)
     return figure

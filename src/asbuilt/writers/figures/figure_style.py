@@ -5,10 +5,9 @@ Colours are those of Okabe and Ito (2008), distinct for the colour-blind and in 
 
 from __future__ import annotations
 
-import base64
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from matplotlib.figure import Figure
 
 from asbuilt.errors import UsageError
 from asbuilt.tables import shortened
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, data_address
 
 BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
     "#0072B2",
@@ -116,6 +115,29 @@ def blank_figure(width: float, height: float) -> Figure:
     return figure
 
 
+@contextmanager
+def drawn(
+    width: float, height: float, title: str = "", *, rows: int = 1, columns: int = 1, **how: Any
+) -> Iterator[tuple[Figure, list[Any]]]:
+    """Draw within this context on the axes of a new figure [inch], row by row, with a headline.
+
+    `how` goes to `Figure.subplots`.
+    """
+    with styled():
+        figure = blank_figure(width, height)
+        yield figure, [*figure.subplots(rows, columns, squeeze=False, **how).flat]
+        headline(figure, title)
+
+
+def label_once(figure: Figure, axes: Iterable[Any], **how: Any) -> None:
+    """Put a legend beside the axes that has each of their labels once; `how` as for a legend."""
+    handles: dict[str, Any] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    figure.legend([*handles.values()], [*handles], **how)
+
+
 def headline(figure: Figure, title: str) -> None:
     """Put a title above the whole figure, if there is one."""
     if title:
@@ -127,4 +149,4 @@ def figure_address(figure: Figure) -> str:
     stream = io.BytesIO()
     with styled():
         figure.savefig(stream, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    return data_address(stream.getvalue(), "image/svg+xml")

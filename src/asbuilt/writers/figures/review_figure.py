@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -14,10 +12,9 @@ from asbuilt.writers.figures.figure_style import (
     GREY,
     INK,
     VERMILION,
-    blank_figure,
     broken,
-    headline,
-    styled,
+    drawn,
+    label_once,
 )
 
 SHOWN = ("armature", "damping", "damping + kv", "friction loss", "kp", "forcerange")
@@ -27,29 +24,23 @@ SIGMAS = 2.0
 """Half the length of an error bar in standard errors."""
 
 
-def review_figure(review: Review, *, title: str = "") -> Figure:
+def review_figure(review: Review) -> Figure:
     """Draw each number of the drives with its error bar, beside its claim, joint by joint."""
     kinds = [kind for kind in SHOWN if any(_shown(claim, kind) for claim in review.claims)]
     joints = list(review.result.joint_names)
     columns = max(1, min(3, len(kinds)))
     rows = max(1, -(-len(kinds) // columns))
-    with styled():
-        figure = blank_figure(2.9 * columns + 0.6, rows * (0.24 * len(joints) + 0.9) + 0.5)
-        axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
+    width, height = 2.9 * columns + 0.6, rows * (0.24 * len(joints) + 0.9) + 0.5
+    title = f"{review.robot}: numbers of its drives beside the log"
+    with drawn(width, height, title, rows=rows, columns=columns, sharey=True) as (figure, axes):
         for axis in axes[len(kinds) :]:
             axis.set_visible(False)
         for axis, kind in zip(axes, kinds, strict=False):
-            _draw(axis, [claim for claim in review.claims if _shown(claim, kind)], joints)
-            unit = next(claim.unit for claim in review.claims if claim.what == kind)
-            axis.set_title(f"{kind} [{unit}]")
+            claims = [claim for claim in review.claims if _shown(claim, kind)]
+            _draw(axis, claims, joints)
             axis.set_yticks(range(len(joints)), [broken(name, 16) for name in joints])
-            axis.set_ylim(len(joints) - 0.5, -0.5)
-        handles: dict[str, Artist] = {}
-        for axis in axes:
-            for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-                handles.setdefault(label, handle)
-        figure.legend([*handles.values()], [*handles], loc="outside lower left", ncols=4)
-        headline(figure, title or f"{review.robot}: numbers of its drives beside the log")
+            axis.set(title=f"{kind} [{claims[0].unit}]", ylim=(len(joints) - 0.5, -0.5))
+        label_once(figure, axes, loc="outside lower left", ncols=4)
     return figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,10 +20,8 @@ from asbuilt.writers.figures.figure_style import (
     INK,
     MEASURED,
     POINTS,
-    blank_figure,
     broken,
-    headline,
-    styled,
+    drawn,
 )
 from asbuilt.writers.figures.thinning import thinned
 
@@ -60,35 +59,27 @@ def torque_figure(
     n = measured.shape[1]
     names = list(joint_names) or [f"joint {k + 1}" for k in range(n)]
     kinds = list(units) or ["N m"] * n
-    with styled():
-        figure = blank_figure(10.5, 1.25 * n + 0.95)
-        axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
-        for k in range(n):
-            left, right = axes[k]
+    shape = {"rows": n, "columns": 2, "sharex": True, "width_ratios": (3, 2)}
+    beside = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+    narrow = {"handlelength": 1.2, "columnspacing": 1.2, "borderaxespad": 0.1, "fontsize": 7.5}
+    with drawn(10.5, 1.25 * n + 0.95, title, **shape) as (figure, axes):
+        lefts, rights = axes[::2], axes[1::2]
+        for k, (left, right) in enumerate(zip(lefts, rights, strict=True)):
             by_cad = None if cad is None else cad[:, k]
             draw_torque(left, t, measured[:, k], predicted[:, k], label, beside=by_cad)
             left.set_ylabel(torque_label(names[k], kinds[k]))
             draw_errors(right, t, measured[:, k], predicted[:, k], label, cad=by_cad)
             low, high = right.get_ylim()
             right.set_ylim(low, high + 0.45 * (high - low))
-            right.legend(
-                loc="upper left",
-                ncols=2,
-                handlelength=1.2,
-                columnspacing=1.2,
-                borderaxespad=0.1,
-                fontsize=7.5,
-            )
-            for axis in (left, right):
-                axis.yaxis.set_major_locator(MaxNLocator(4))
-                axis.margins(x=0.01)
-        axes[0, 0].set_title("Torque")
-        axes[0, 1].set_title("Error (measured - predicted)")
-        axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-        for axis in axes[-1]:
-            axis.set_xlabel("time [s]")
-        figure.align_ylabels(axes[:, 0])
-        headline(figure, title)
+            right.legend(loc="upper left", ncols=2, **narrow)
+        for axis in axes:
+            axis.yaxis.set_major_locator(MaxNLocator(4))
+            axis.margins(x=0.01)
+        for column, name in ((lefts, "Torque"), (rights, "Error (measured - predicted)")):
+            column[0].set_title(name)
+            column[-1].set_xlabel("time [s]")
+        lefts[0].legend(ncols=2, **beside)
+        figure.align_ylabels(lefts)
     return figure
 
 
@@ -103,16 +94,10 @@ def draw_torque(
 ) -> None:
     """Draw measured and predicted torque (N,), thinned as a curve `beside` them."""
     curves = [measured, predicted] + ([] if beside is None else [beside])
-    instants, *thin = thinned(t, *curves, points=POINTS)
-    axis.plot(instants, thin[0], color=MEASURED, linewidth=1.5, label="measured")
-    axis.plot(
-        instants,
-        thin[1],
-        color=AS_BUILT,
-        linewidth=0.9,
-        linestyle=(0, (4, 1.6)),
-        label=f"predicted, {label}",
-    )
+    instants, torque, modelled, *_ = thinned(t, *curves, points=POINTS)
+    axis.plot(instants, torque, color=MEASURED, linewidth=1.5, label="measured")
+    dashed: dict[str, Any] = {"linewidth": 0.9, "linestyle": (0, (4, 1.6))}
+    axis.plot(instants, modelled, color=AS_BUILT, label=f"predicted, {label}", **dashed)
 
 
 def draw_errors(
@@ -125,15 +110,15 @@ def draw_errors(
     cad: Array | None = None,
 ) -> None:
     """Draw measured less predicted torque (N,), and that of CAD behind it."""
-    differences = [measured - curve for curve in (predicted, cad) if curve is not None]
-    instants, *thin = thinned(t, *differences, points=POINTS)
-    if cad is not None:
-        axis.plot(
-            instants, thin[1], color=CAD, linewidth=0.8, label=f"CAD, RMS {_rms(differences[1])}"
-        )
-    axis.plot(
-        instants, thin[0], color=GREEN, linewidth=0.9, label=f"{label}, RMS {_rms(differences[0])}"
-    )
+    errors = {
+        f"{name}, RMS {_rms(measured - curve)}": measured - curve
+        for name, curve in (("CAD", cad), (label, predicted))
+        if curve is not None
+    }
+    instants, *thin = thinned(t, *errors.values(), points=POINTS)
+    looks = [(CAD, 0.8), (GREEN, 0.9)][-len(errors) :]
+    for name, error, (colour, width) in zip(errors, thin, looks, strict=True):
+        axis.plot(instants, error, color=colour, linewidth=width, label=name)
     axis.axhline(0.0, color=INK, linewidth=0.5)
 
 

@@ -1,4 +1,4 @@
-"""Export of the identified robot: URDF, MJCF, C code and robot file."""
+"""Export of the identified robot: URDF, MJCF, C code with observer, and robot file."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from asbuilt.findings import Cure
 from asbuilt.identification.bodies.standard_parameters import StandardParameters
 from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.torque_prediction import carrying
+from asbuilt.monitoring.model_error import ModelError
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
@@ -28,12 +30,15 @@ from asbuilt.writers.models.as_built import (
     load_counted,
 )
 from asbuilt.writers.models.c.c_code import write_c
-from asbuilt.writers.models.c.observer_files import write_observer
+from asbuilt.writers.models.c.c_observer import observer_code
 from asbuilt.writers.models.elastic_joints import elastic_mjcf, with_rotors_described
 from asbuilt.writers.models.mjcf import write_mjcf
-from asbuilt.writers.models.physical import refuse_inconsistent_result, refuse_poor_nearest_model
+from asbuilt.writers.models.physical import (
+    refuse_inconsistent_result,
+    refuse_poor_nearest_model,
+    servo_left_out,
+)
 from asbuilt.writers.models.robot_toml import write_robot_toml
-from asbuilt.writers.models.servo_notes import servo_left_out
 from asbuilt.writers.models.simulators.simulator_format import ExportedDrives, simulator_format
 from asbuilt.writers.models.urdf import write_urdf
 
@@ -290,5 +295,39 @@ def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
             "load-dependent friction acts on the load of the links alone; in the result the load"
             " includes armatures grouped with a link. The torques differ by up to"
             f" {apart:.2g} N m in random motion"
+        ),
+    )
+
+
+def write_observer(
+    path: str | os.PathLike[str],
+    result: IdentificationResult,
+    *,
+    thresholds: Thresholds | None = None,
+) -> tuple[Path, Path]:
+    """Write `NAME.c` and `NAME.h` with the dynamics of the robot as built and its observer.
+
+    The parameters are exactly the identified ones, also where no physically consistent links have
+    them. Returns both paths.
+
+    Raises
+    ------
+    UsageError
+        If the file is not named `.c`, or thresholds belong to other joints.
+    """
+    if thresholds is not None:
+        thresholds.check_joints(result.model.joint_names)
+    torque = result.torque_model
+    model = carrying(result.model, result.base, result.estimates)
+    return write_c(
+        path,
+        model,
+        drive=torque.drive,
+        drive_values=torque.values,
+        observer=lambda name: observer_code(
+            name,
+            model.n_joints,
+            thresholds=thresholds,
+            factor=ModelError.of(result).factor,
         ),
     )

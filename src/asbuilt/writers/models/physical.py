@@ -1,4 +1,4 @@
-"""Physically inconsistent models, refused before they are written for other software."""
+"""What model files refuse and what they leave out: inconsistent models, drive terms, servos."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.consistency import inconsistencies
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure
@@ -176,3 +177,30 @@ def _error_growth(result: IdentificationResult, beta: Array) -> float:
     """
     d, rows = beta - result.estimates, result.n_samples * len(result.joint_names) - result.n_base
     return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))
+
+
+def servo_left_out(
+    servo: PositionServo | None, kind: str, *, delay: bool = False, falling: bool = False
+) -> tuple[str, ...]:
+    """Return notes on what a format of this name lacks of a servo.
+
+    `delay` and `falling` say whether it holds the delay, and torque limits that fall with speed.
+    """
+    if servo is None:
+        return ()
+    late = 1e3 * (servo.delay or 0.0)
+    said = {
+        f"a delay below zero, {late:.3g} ms: give the simulator each command {-late:.3g} ms"
+        " earlier": late < 0.0,
+        f"the delay of the servo: give the simulator each command {late:.3g} ms later, and half of"
+        " its time step, by which steps of first order act early": late > 0.0 and not delay,
+        f"the limit of the goal's acceleration, {min(servo.goal_acceleration):.4g} rad/s^2: pass"
+        " commands through it": servo.limits_goal,
+        f"the deadband of the servo, {max(servo.deadband):.4g} rad or m: give each command as the"
+        " position plus what of the control error is beyond it": np.any(servo.deadband),
+        f"the lead of the servo, {1e3 * max(servo.leads):.3g} ms: give each command as the position"
+        " plus this times its rate": np.any(servo.leads),
+        f"torque limits that fall to zero at {min(servo.no_load_speed):.4g} rad/s or m/s: it has"
+        " the limits of a joint at rest": not falling and np.any(servo.falling),
+    }
+    return tuple(f"{kind} has no place for {what}" for what, lost in said.items() if lost)

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -33,47 +34,36 @@ _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 def robot_toml(model: RobotModel) -> str:
     """Return a robot file: rotation matrices, inertias about link origins, full precision."""
     passive = [joint.name for joint in model.followers if joint.is_passive]
-    head = [
-        f"name = {_text(model.name)}",
-        f"citation = {_text(model.citation)}" if model.citation else "",
-        f"notes = {_texts(model.notes)}" if model.notes else "",
-        f"usual_drive = {_text(model.usual_drive)}" if model.usual_drive else "",
-        f"gravity = {_numbers(model.gravity)}",
-        f"root_link = {_text(model.root_link)}",
-        f"lengths = {_table(model.lengths)}" if model.lengths else "",
-        "" if model.drives_by_design else "drives_by_design = false",
-        f"passive = {_texts(passive)}" if passive else "",
-        f"posture = {_table(_posture(model))}" if model.loops else "",
-    ]
-    blocks = ["\n".join(line for line in head if line)]
-    blocks += [_link_table(model, model.moving_joints[k], model.links[k]) for k in _order(model)]
-    moved = [(joint, joint.mimic) for joint in model.moving_joints if joint.mimic is not None]
-    moved = [(joint, mimic) for joint, mimic in moved if not joint.is_passive]
-    blocks += [_motor_table(joint) for joint, _ in moved if joint.has_motor]
-    blocks += [_coupling_table(joint, mimic) for joint, mimic in moved]
-    blocks += [_loop_table(loop) for loop in model.loops]
-    if model.motor_coupling is not None:
-        for k, (name, row) in enumerate(zip(model.joint_names, model.motor_coupling, strict=True)):
-            if np.array_equal(row, np.eye(model.n_joints)[k]):
-                continue
-            turns = ", ".join(
-                f"{_key(other)} = {_float(share)}"
-                for other, share in zip(model.joint_names, row, strict=True)
-                if share
-            )
-            blocks.append(f"[[couplings]]\nmotor = {_text(name)}\nturns = {{{turns}}}")
+    head = {
+        "name": model.name,
+        "citation": model.citation or None,
+        "notes": model.notes or None,
+        "usual_drive": model.usual_drive or None,
+        "gravity": model.gravity,
+        "root_link": model.root_link,
+        "lengths": model.lengths or None,
+        "drives_by_design": None if model.drives_by_design else False,
+        "passive": passive or None,
+        "posture": _posture(model) if model.loops else None,
+    }
+    moved = [joint for joint in model.moving_joints if joint.mimic and not joint.is_passive]
+    blocks = [_fields(head)]
+    for k in _order(model):
+        blocks += _link_blocks(model, model.moving_joints[k], model.links[k])
+    for joint in moved:
+        if joint.has_motor:
+            blocks.append(_block("motors", {"name": joint.name, **_drive_fields(joint)}))
+    blocks += [_coupling_block(joint) for joint in moved]
+    blocks += [_loop_block(loop) for loop in model.loops]
+    names, coupling = model.joint_names, model.motor_coupling
+    for k, row in enumerate(() if coupling is None else coupling):
+        if not np.array_equal(row, np.eye(len(names))[k]):
+            turns = {other: share for other, share in zip(names, row, strict=True) if share}
+            blocks.append(_block("couplings", {"motor": names[k], "turns": turns}))
     for frame in model.frames:
-        place = _placement_fields(frame.placement, None, model)
-        blocks.append(
-            "\n".join(
-                [
-                    "[[frames]]",
-                    f"name = {_text(frame.name)}",
-                    f"link = {_text(_link_name(model, frame.link))}",
-                    *place,
-                ]
-            )
-        )
+        place = _placement(frame.placement, None, model)
+        link = _link_name(model, frame.link)
+        blocks.append(_block("frames", {"name": frame.name, "link": link, **place}))
     return "\n\n".join(blocks) + "\n"
 
 
@@ -97,42 +87,33 @@ def _order(model: RobotModel) -> Sequence[int]:
     return order
 
 
-def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
-    lines = [
-        "[[links]]",
-        f"name = {_text(link.name)}",
-        f"joint = {_text(joint.name_in_tree)}",
-        f"kind = {_text(joint.kind)}",
-        f"parent = {_text(_link_name(model, joint.parent))}",
-        f"origin = {{{', '.join(_placement_fields(joint.before, joint.before_symbols, model))}}}",
+def _link_blocks(model: RobotModel, joint: Joint, link: Link) -> list[str]:
+    """Return the block of a link, and those of its parts where it has any."""
+    parts = [inertia.parameters for _, inertia in link.parts]
+    by_parts = bool(parts) and np.array_equal(np.sum(parts, axis=0), link.inertia.parameters)
+    after = _placement(joint.after, joint.after_symbols, model)
+    placed = not np.array_equal(joint.after, np.eye(4)) or joint.after_symbols is not None
+    fields = {
+        "name": link.name,
+        "joint": joint.name_in_tree,
+        "kind": joint.kind,
+        "parent": _link_name(model, joint.parent),
+        "origin": _placement(joint.before, joint.before_symbols, model),
+        "after": after if placed else None,
+        "negligible": link.negligible or None,
+        **(_inertia_fields(link.inertia) if link.inertia_known and not by_parts else {}),
+        **(_drive_fields(joint) if joint.mimic is None or not joint.has_motor else {}),
+    }
+    own = [
+        _block("links.parts", {"name": name, **_inertia_fields(inertia)})
+        for name, inertia in (link.parts if by_parts else ())
     ]
-    if not np.array_equal(joint.after, np.eye(4)) or joint.after_symbols is not None:
-        lines.append(
-            f"after = {{{', '.join(_placement_fields(joint.after, joint.after_symbols, model))}}}"
-        )
-    whole = (
-        np.sum([inertia.parameters for _, inertia in link.parts], axis=0) if link.parts else None
-    )
-    by_parts = whole is not None and np.array_equal(whole, link.inertia.parameters)
-    if link.negligible:
-        lines.append("negligible = true")
-    if link.inertia_known and not by_parts:
-        lines += _inertia_fields(link.inertia)
-    if joint.mimic is None or not joint.has_motor:
-        lines += _drive_fields(joint)
-    if by_parts:
-        for name, inertia in link.parts:
-            lines += ["", "[[links.parts]]", f"name = {_text(name)}", *_inertia_fields(inertia)]
-    return "\n".join(lines)
+    return [_block("links", fields), *own]
 
 
-def _motor_table(joint: Joint) -> str:
-    return "\n".join(["[[motors]]", f"name = {_text(joint.name)}", *_drive_fields(joint)])
-
-
-def _coupling_table(joint: Joint, mimic: Mimic) -> str:
-    lines = ["[[couplings]]", f"{_key(joint.name_in_tree)} = {_table(mimic.factors)}"]
-    return "\n".join([*lines, *([f"offset = {_float(mimic.offset)}"] if mimic.offset else [])])
+def _coupling_block(joint: Joint) -> str:
+    mimic = joint.mimic or Mimic({})
+    return _block("couplings", {joint.name_in_tree: mimic.factors, "offset": mimic.offset or None})
 
 
 def _posture(model: RobotModel) -> dict[str, float]:
@@ -141,69 +122,45 @@ def _posture(model: RobotModel) -> dict[str, float]:
     return {joint.name_in_tree: float(q) for joint, q in zip(model.moving_joints, at, strict=True)}
 
 
-def _loop_table(loop: Loop) -> str:
-    lines = ["[[loops]]"]
-    lines += [f"name = {_text(loop.name)}"] if loop.name else []
-    lines.append(f"kind = {_text(loop.kind)}")
+def _loop_block(loop: Loop) -> str:
+    head = {"name": loop.name or None, "kind": loop.kind}
     if loop.kind == "joint":
-        lines.append(f"joints = {_texts(loop.joints)}")
-        return "\n".join([*lines, f"polynomial = {_numbers(np.array(loop.polynomial))}"])
-    for side, (link, point) in zip("ab", loop.ends, strict=True):
-        lines += [f"link_{side} = {_text(link)}", f"point_{side} = {_numbers(point)}"]
-    if not np.array_equal(loop.rotation, np.eye(3)):
-        lines.append(f"rotation = [{', '.join(_numbers(row) for row in loop.rotation)}]")
-    return "\n".join(lines)
+        return _block("loops", {**head, "joints": loop.joints, "polynomial": loop.polynomial})
+    ends = {
+        f"{what}_{side}": value
+        for side, end in zip("ab", loop.ends, strict=True)
+        for what, value in zip(("link", "point"), end, strict=True)
+    }
+    turned = not np.array_equal(loop.rotation, np.eye(3))
+    return _block("loops", {**head, **ends, "rotation": loop.rotation if turned else None})
 
 
-def _drive_fields(joint: Joint) -> list[str]:
+def _drive_fields(joint: Joint) -> dict[str, Any]:
     """Return limits and drive of a joint or a motor."""
-    lines = []
-    limits = [
-        f"{name} = {_float(value)}"
-        for name in _LIMITS
-        if math.isfinite(value := getattr(joint.limits, name))
-    ]
-    if limits:
-        lines.append(f"limits = {{{', '.join(limits)}}}")
-    fields = [
-        f"{name} = {_float(value)}"
-        for name in (*PLAIN_TERMS, "gear_ratio", "kp", "kd")
-        if (value := getattr(joint.drive, name)) is not None
-    ]
-    if joint.drive.terms:
-        terms = [f"{key} = {_table(numbers)}" for key, numbers in joint.drive.terms.items()]
-        fields.append(f"terms = {{{', '.join(terms)}}}")
-    if fields:
-        lines.append(f"drive = {{{', '.join(fields)}}}")
-    return lines
+    limits = {
+        name: value for name in _LIMITS if math.isfinite(value := getattr(joint.limits, name))
+    }
+    drive = {name: getattr(joint.drive, name) for name in (*PLAIN_TERMS, "gear_ratio", "kp", "kd")}
+    known = {name: value for name, value in drive.items() if value is not None}
+    known |= {"terms": joint.drive.terms} if joint.drive.terms else {}
+    return {"limits": limits or None, "drive": known or None}
 
 
-def _inertia_fields(inertia: LinkInertia) -> list[str]:
-    tensor = ", ".join(
-        f"{name} = {_float(value)}"
-        for name, value in zip(_TENSOR, inertia.parameters[:6], strict=True)
-    )
-    return [
-        f"mass = {_float(inertia.mass)}",
-        f"first_moment = {_numbers(inertia.first_moment)}",
-        f"inertia_about_origin = {{{tensor}}}",
-    ]
+def _inertia_fields(inertia: LinkInertia) -> dict[str, Any]:
+    return {
+        "mass": inertia.mass,
+        "first_moment": inertia.first_moment,
+        "inertia_about_origin": dict(zip(_TENSOR, inertia.parameters[:6], strict=True)),
+    }
 
 
-def _placement_fields(placement: Array, symbols: Symbols | None, model: RobotModel) -> list[str]:
+def _placement(placement: Array, symbols: Symbols | None, model: RobotModel) -> dict[str, Any]:
     p, R = placement[:3, 3], placement[:3, :3]
-    fields = []
+    xyz: Any = p if np.any(p != 0.0) else None
     # Largest difference [m] of a length from its symbols, which are written in its place.
     if symbols is not None and np.max(np.abs(length_values(symbols, model.lengths) - p)) <= 1e-12:
-        fields.append(
-            "xyz ="
-            f" [{', '.join(_text(_length_sum(terms)) if terms else '0.0' for terms in symbols)}]"
-        )
-    elif np.any(p != 0.0):
-        fields.append(f"xyz = {_numbers(p)}")
-    if not np.array_equal(R, np.eye(3)):
-        fields.append(f"rotation = [{', '.join(_numbers(row) for row in R)}]")
-    return fields
+        xyz = [_length_sum(terms) if terms else 0.0 for terms in symbols]
+    return {"xyz": xyz, "rotation": None if np.array_equal(R, np.eye(3)) else R}
 
 
 def _length_sum(terms: Sequence[tuple[float, str]]) -> str:
@@ -220,27 +177,31 @@ def _link_name(model: RobotModel, index: int) -> str:
     return model.root_link if index == ROOT else model.links[index].name
 
 
-def _float(value: float) -> str:
+def _block(name: str, fields: Mapping[str, Any]) -> str:
+    return f"[[{name}]]\n{_fields(fields)}"
+
+
+def _fields(fields: Mapping[str, Any]) -> str:
+    """Return a line for each field that is there."""
+    there = ((name, value) for name, value in fields.items() if value is not None)
+    return "\n".join(f"{_key(name)} = {_value(value)}" for name, value in there)
+
+
+def _value(value: Any) -> str:
+    """Return a value on one line, as `tomli_w` does not write tables and lists."""
+    if isinstance(value, Mapping):
+        there = (f"{_key(key)} = {_value(each)}" for key, each in value.items() if each is not None)
+        return f"{{{', '.join(there)}}}"
+    if isinstance(value, list | tuple | np.ndarray):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, bool | str):
+        return tomli_w.dumps({"x": value})[4:].rstrip("\n")
     return repr(float(value) + 0.0)
-
-
-def _numbers(values: Array) -> str:
-    return f"[{', '.join(_float(value) for value in values)}]"
-
-
-def _text(value: str) -> str:
-    return tomli_w.dumps({"x": value})[4:].rstrip("\n")
-
-
-def _texts(values: Sequence[str]) -> str:
-    return f"[{', '.join(_text(value) for value in values)}]"
-
-
-def _table(numbers: Mapping[str, float]) -> str:
-    return f"{{{', '.join(f'{_key(name)} = {_float(value)}' for name, value in numbers.items())}}}"
 
 
 def _key(name: str) -> str:
     return (
-        name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else _text(name)
+        name
+        if name.replace("_", "").replace("-", "").isalnum() and name.isascii()
+        else _value(name)
     )

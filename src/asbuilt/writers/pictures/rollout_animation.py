@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,9 +17,9 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
 from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
-from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
+from asbuilt.writers.pictures.view import write_frames
 from asbuilt.writers.tables.rollout_tables import error_text, position_unit
 
 FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -28,8 +27,8 @@ FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 COLOURS = {"CAD": (217, 115, 26), "as built": (33, 102, 172)}
 TITLES = {"CAD": "before, by CAD", "as built": "after, as built"}
 DARK, QUIET, PALE = (40, 44, 52), (120, 126, 136), (226, 229, 234)
-STRIP, TITLE, MARGIN = 118, 46, 12
-"""Heights of the curves and the titles, and free border [pixels]."""
+WIDTH, STRIP, TITLE, MARGIN = 780, 118, 46, 12
+"""Width of the picture, heights of the curves and the titles, and free border [pixels]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,11 +49,8 @@ def write_rollout_animation(
     path: str | os.PathLike[str],
     model: RobotModel,
     rollout: Rollout,
-    *,
-    recording: int = 0,
-    width: int = 780,
 ) -> Path:
-    """Write a rollout as an animation (`.gif` or `.webp`) in real time.
+    """Write a rollout's first recording as an animation (`.gif` or `.webp`) in real time.
 
     One panel for each robot that was simulated: the measured motion as a solid robot, the simulated
     one as lines whose distance to it is enlarged by the factor that is stated. Below, the error
@@ -68,41 +64,14 @@ def write_rollout_animation(
         The robot.
     rollout
         Its rollout.
-    recording
-        Which of its recordings, from 0.
-    width
-        Of the picture [pixels].
 
     Raises
     ------
     UsageError
-        If the suffix is unknown, or there is no such recording or no robot was simulated.
+        If the suffix is unknown, or no robot was simulated.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".gif", ".webp"):
-        raise UsageError(f"an animation is written as .gif or .webp, not as {Path(path).name!r}")
-    if not 0 <= recording < len(rollout.motions):
-        raise UsageError(
-            f"the rollout has {len(rollout.motions)} recordings, and no {recording}",
-            value=recording,
-            upper=len(rollout.motions) - 1,
-        )
-    shown = _shown(rollout.motions[recording])
-    frames = [Pillow.fromarray(image) for image in _frames(model, shown, rollout, width)]
-    pause = round(1000 * float(shown.t[-1]) / max(len(shown.t) - 1, 1))
-    stream = io.BytesIO()
-    if suffix == ".gif":
-        frames = [each.quantize(128, dither=Pillow.Dither.NONE) for each in frames]
-    frames[0].save(
-        stream,
-        suffix[1:].upper(),
-        save_all=True,
-        append_images=frames[1:],
-        duration=pause,
-        loop=0,
-        quality=60,
-    )
-    return atomic_write(path, stream.getvalue())
+    shown = _shown(rollout.motions[0])
+    return write_frames(path, [*_frames(model, shown, rollout, WIDTH)], float(shown.t[-1]))
 
 
 def _shown(motion: SimulatedMotion) -> _Shown:

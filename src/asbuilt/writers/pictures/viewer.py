@@ -25,7 +25,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.round_mesh import round_mesh
+from asbuilt.writers.pictures.skeleton import round_mesh
 
 LOOPBACK = ("127.0.0.1", "localhost")
 ROD, HOUSING, STAND, PATH, COM, INERTIA = (

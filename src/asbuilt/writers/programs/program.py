@@ -1,16 +1,26 @@
-"""Programs that make a controller run a motion."""
+"""Programs that make a controller run a motion, as files, text and documents."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.excitation.collision.clearance import clearance_along
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.writers.programs.format import ProgramFile, program_format
-from asbuilt.writers.programs.request import ProgramRequest
+from asbuilt.tables import wrapped
+from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    ProgramFile,
+    ProgramRequest,
+    program_format,
+)
+from asbuilt.writers.tables.design_tables import margin_table, margin_verdict
 
 
 def program_request(
@@ -77,3 +87,62 @@ def make_program(
     """
     request = program_request(robot, motion, form, name=name, rate=rate, collision=collision)
     return program_format(form).files(request)
+
+
+def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) -> dict[str, Path]:
+    """Write the files of a program into a folder and return them by role.
+
+    Scripts become executable.
+    """
+    written = {}
+    for file in files:
+        path = atomic_write(Path(folder) / file.name, file.text)
+        if file.executable:
+            path.chmod(path.stat().st_mode | 0o111)
+        written[file.role] = path
+    return written
+
+
+def program_document(
+    request: ProgramRequest, form: str, files: Mapping[str, Path]
+) -> dict[str, Any]:
+    """Return the JSON document of a program."""
+    return {
+        "robot": request.model.name,
+        "format": form,
+        "motion": request.name,
+        "duration": request.motion.duration,
+        "dry_run_duration": DRY_RUN_SLOWDOWN * request.motion.duration,
+        "rate": request.rate,
+        "start": request.motion.start.tolist(),
+        "worst_margin": request.report.worst_margin,
+        "collision_distance": None if request.clearance is None else request.clearance.distance,
+        "files": path_texts(files),
+    }
+
+
+def program_text(request: ProgramRequest, form: str, *, full: bool = False) -> str:
+    """Return a program as text: limits, what is not checked, margins."""
+    known = request.clearance
+    collisions = (
+        "NOT CHECKED: collisions, and the approach to the start pose"
+        if known is None
+        else (
+            f"smallest distance between bodies of {known.source} {1000 * known.distance:.0f} mm;"
+            " NOT CHECKED: collisions with anything else, and the approach to the start pose"
+        )
+    )
+    title = (
+        f"{request.model.name} - {form} program of {request.name},"
+        f" {request.motion.duration:.3f} s, dry run {request.dry_run.duration:.1f} s"
+    )
+    return "\n".join(
+        [
+            wrapped(title),
+            wrapped(margin_verdict(request.report)),
+            wrapped(collisions),
+            "Run the dry run first; the header of the program says how.",
+            "",
+            margin_table(request.report).as_text(full).rstrip(),
+        ]
+    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -12,8 +14,10 @@ import numpy as np
 import tomli_w
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation.motions.motion_csv import times_to_end
+from asbuilt.writers.programs.format import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.naming import plain_text
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 
 def render(template: str, **values: Any) -> str:
@@ -46,6 +50,26 @@ def rounded_down(value: float, decimals: int = 4) -> str:
     return f"{floor(value * 10**decimals + 1e-9) / 10**decimals:.{decimals}f}"
 
 
+def motion_csv(motion: Motion, columns: Sequence[str], rate: float, decimals: int) -> str:
+    """Return times and the first `columns` of positions, velocities, accelerations as CSV.
+
+    The end of the motion is the last line whatever the rate.
+    """
+    t, text = times_to_end(motion, rate), io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(["t", *columns])
+    rows = np.round(np.hstack(motion.at(t))[:, : len(columns)], decimals) + 0.0
+    for time, row in zip(t, rows, strict=True):
+        text.write(f"{time:.6f}," + ",".join(f"{value:.{decimals}f}" for value in row) + "\n")
+    return text.getvalue()
+
+
+def streamed_motion(request: ProgramRequest) -> str:
+    """Return the table that programs in C++ read: `t,q1,...,qn,qd1,...,qdn`."""
+    joints = range(1, request.model.n_joints + 1)
+    names = [f"{symbol}{j}" for symbol in ("q", "qd") for j in joints]
+    return motion_csv(request.motion, names, request.rate, STREAMED_DECIMALS)
+
+
 @cache
 def _environment() -> Environment:
     return Environment(
@@ -57,6 +81,9 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
 
+
+STREAMED_DECIMALS = 12
+"""Decimals of streamed positions and velocities: differences at 1 kHz give a clean jerk."""
 
 WIDTH = 100
 """Longest line of the header."""

@@ -1,4 +1,4 @@
-"""Texts, documents and files of `asbuilt compare`."""
+"""Texts, documents, files and pages of `asbuilt compare`."""
 
 from __future__ import annotations
 
@@ -7,20 +7,44 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup
+
+from asbuilt.findings import joined
 from asbuilt.identification.result.determination import Determination
-from asbuilt.tables import wrapped
+from asbuilt.tables import share, significant, wrapped
 from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.comparison.comparison import Comparison
+from asbuilt.validation.attribution.causes import CAUSES
+from asbuilt.validation.comparison.comparison import Comparison, recording_name
 from asbuilt.validation.comparison.drift import Drift
+from asbuilt.validation.comparison.torque_change import joint_table
 from asbuilt.workflow.controller_model import ControllerComparison
-from asbuilt.writers.figures.cause_figures import attribution_figure, difference_figure
-from asbuilt.writers.figures.figure_style import save_figure
+from asbuilt.writers.figures.comparison_figures import (
+    attribution_figure,
+    difference_figure,
+    drift_figure,
+)
+from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.reports.compare_report import NO_CAUSES, compare_headline, comparison_html
-from asbuilt.writers.reports.drift_report import drift_html
+from asbuilt.writers.reports.cards import determination_card, difference_card, torque_card
+from asbuilt.writers.reports.page import (
+    Block,
+    Card,
+    cards_markup,
+    image_markup,
+    list_markup,
+    page,
+    paragraph_markup,
+    table_markup,
+)
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
+
+NO_CAUSES = (
+    "Causes of the CAD error, and the torque of differences, are unknown: the result has no cause"
+    " data."
+)
+"""Sentence for a result without cause data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +83,21 @@ class CadVerdict:
 
     @property
     def headline(self) -> str:
-        """What a user decides by, in a sentence."""
-        return compare_headline(self.comparison, self.attribution)
+        """What a user decides by: how far off CAD is, and what explains that, in a sentence."""
+        comparison = self.comparison
+        counts = f"{comparison.n_differing} of {comparison.n_compared} parameters differ"
+        if not comparison.torque:
+            return f"{counts}; the result has no torques to compare."
+        cad, built = comparison.torque[0]
+        error, source = share(built.relative_error), recording_name(built.source)
+        if cad is None:
+            return f"As built the torque error is {error} on {source}; {counts}."
+        causes = () if self.attribution is None else self.attribution.chosen[:2]
+        why = f", most by {joined([CAUSES[cause] for cause in causes])}" if causes else ""
+        return (
+            f"{comparison.cad_source} is off by {share(cad.relative_error)} of the torque (as built"
+            f" {error}){why}; {counts}."
+        )
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
@@ -70,6 +107,77 @@ class CadVerdict:
             "determination": self.determination.as_dict(),
         }
 
+    def as_html(self, result: IdentificationResult) -> str:
+        """Return the page as text: differences, their torque, their causes."""
+        comparison, found = self.comparison, self.attribution
+        sources = ", ".join(recording_name(source) for source in result.sources)
+        cards = [
+            *([torque_card(comparison)] if comparison.torque else []),
+            difference_card(comparison),
+            *([] if found is None else [_explained_card(found)]),
+            determination_card(self.determination),
+        ]
+        said = (
+            self.headline,
+            comparison.verdict(),
+            *((NO_CAUSES,) if found is None else found.findings),
+            *comparison.tests(),
+        )
+        joints = (
+            comparison.torque_table()
+            if found is None
+            else found.joint_table(comparison.torque[0][1].rms)
+        )
+        parameters = table_markup(
+            comparison.parameter_table(), "parameters-by-torque", "scroll parameters"
+        )
+        causes: tuple[Markup, ...] = ()
+        drawn = Markup("")
+        if found is not None:
+            causes = (
+                image_markup(
+                    figure_address(attribution_figure(found)),
+                    "Shares of the squared CAD error by cause, joint by joint; the numbers are in"
+                    " the table below",
+                ),
+                table_markup(found.share_table(), "shares"),
+                table_markup(found.step_table(), "steps"),
+            )
+            drawn = image_markup(
+                figure_address(difference_figure(comparison)),
+                "Torque of each difference; the numbers are in the table below",
+            )
+        title = "Parameters, those with the most torque first"
+        determined = list_markup(self.determination.sentences)
+        return page(
+            result.robot,
+            f"as built against {comparison.cad_source}",
+            [
+                Block(
+                    "verdict",
+                    "Verdict",
+                    (cards_markup(cards), list_markup(said), table_markup(joints, "joint-table")),
+                ),
+                Block("causes", "Causes of the CAD error", causes, "Causes"),
+                Block("parameters", title, (drawn, parameters), "Parameters"),
+                Block(
+                    "determination",
+                    "What the recording determines",
+                    (determined,),
+                    "Determination",
+                ),
+            ],
+            title=f"{result.robot}: CAD and as built",
+            subtitle=f"Identified from {sources}"
+            + (f"; validated on {comparison.judged_by}" if comparison.judged_by else ""),
+        )
+
+
+def _explained_card(attribution: Attribution) -> Card:
+    explained = attribution.explained
+    label = "of the squared CAD error explained by causes"
+    return Card("good" if explained > 0.9 else "bad", share(explained), label)
+
 
 def write_comparison(
     folder: Path, result: IdentificationResult, verdict: CadVerdict
@@ -78,27 +186,20 @@ def write_comparison(
 
     Returns the paths by kind.
     """
+    comparison, found = verdict.comparison, verdict.attribution
+    table = comparison.parameter_table()
     files = {
-        "comparison": atomic_write(
-            folder / "comparison.csv", verdict.comparison.parameter_table().as_csv()
-        ),
+        "comparison": atomic_write(folder / "comparison.csv", table.as_csv()),
         "text": atomic_write(folder / "comparison.txt", verdict.as_text(full=True)),
-        "report": atomic_write(
-            folder / "comparison.html",
-            comparison_html(result, verdict.comparison, verdict.attribution, verdict.determination),
-        ),
+        "report": atomic_write(folder / "comparison.html", verdict.as_html(result)),
     }
-    if verdict.attribution is not None:
-        files["attribution"] = atomic_write(
-            folder / "attribution.csv", verdict.attribution.share_table().as_csv()
-        )
-        files["attribution_figure"] = save_figure(
-            attribution_figure(verdict.attribution), folder / "attribution.png"
-        )
-        files["difference_figure"] = save_figure(
-            difference_figure(verdict.comparison), folder / "differences.png"
-        )
-    return files
+    if found is None:
+        return files
+    return files | {
+        "attribution": atomic_write(folder / "attribution.csv", found.share_table().as_csv()),
+        "attribution_figure": save_figure(attribution_figure(found), folder / "attribution.png"),
+        "difference_figure": save_figure(difference_figure(comparison), folder / "differences.png"),
+    }
 
 
 def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[str, Path]:
@@ -109,6 +210,72 @@ def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[st
         "text": atomic_write(folder / "drift.txt", compared.as_text(full=True)),
         "report": atomic_write(folder / "drift.html", drift_html(compared)),
     }
+
+
+def drift_html(compared: Drift | ControllerComparison) -> str:
+    """Return the page of two results of one robot, or of a result and its controller's model."""
+    drift = compared if isinstance(compared, Drift) else compared.difference
+    cards, sentences = _drift_cards(drift), [drift.verdict(), *drift.sentences]
+    verdict: list[Markup] = []
+    if isinstance(compared, ControllerComparison):
+        cards.insert(0, _prediction_card(compared))
+        sentences.insert(0, compared.verdict())
+        verdict.append(table_markup(compared.torque_table(), "torque-table"))
+    drawn: list[Markup] = []
+    if drift.joints:
+        words = (
+            "Torque of the changes at every joint beside what standard errors explain; the numbers"
+            " are in the table below"
+        )
+        joints = joint_table(drift.joints, drift.level, of_models=drift.of_models)
+        drawn.append(image_markup(figure_address(drift_figure(drift)), words))
+        drawn.append(table_markup(joints, "joints-by-torque"))
+    changed, others = (
+        [table_markup(drift.table(changed=which), name, "scroll parameters")] if count else []
+        for which, name, count in (
+            (True, "changed", drift.n_changed),
+            (False, "others", len(drift.parameters) - drift.n_changed),
+        )
+    )
+    none = f"No parameter {'differs' if drift.of_models else 'changed'} significantly."
+    order = "Parameters" + (", those with the most torque first" if drift.joints else "")
+    return page(
+        drift.robot,
+        f"{drift.after} against {drift.before}",
+        [
+            Block("verdict", "Verdict", (cards_markup(cards), list_markup(sentences), *verdict)),
+            Block("torque", "Torque, joint by joint", drawn, "Torque"),
+            Block(
+                "parameters", order, (*(changed or [paragraph_markup(none)]), *others), "Parameters"
+            ),
+        ],
+    )
+
+
+def _prediction_card(controller: ControllerComparison) -> Card:
+    built, maker = controller.as_built.relative_error, controller.controller.relative_error
+    label = f"torque error as built, controller's model {share(maker)}"
+    return Card("good" if built < maker else "neutral", share(built), label)
+
+
+def _drift_cards(drift: Drift) -> list[Card]:
+    verb = "differ" if drift.of_models else "changed"
+    tested = sum(parameter.sigmas is not None for parameter in drift.parameters)
+    changed = [joint for joint in drift.joints if joint.holm <= drift.level]
+    counts = [
+        (drift.n_changed, tested, f"parameters {verb} significantly"),
+        (len(changed), len(drift.joints), f"joints {verb} in the torque of the same motion"),
+    ]
+    cards = [
+        Card("neutral" if part else "good", f"{part} of {whole}", label)
+        for part, whole, label in (counts if drift.joints else counts[:1])
+    ]
+    if changed:
+        most = max(changed, key=lambda joint: joint.torque)
+        of = f"{significant(most.torque_of_motion)} {most.unit} RMS torque"
+        figure = f"{significant(most.torque)} {most.unit}"
+        cards.append(Card("neutral", figure, f"largest, at {most.joint}, of {of}"))
+    return cards
 
 
 def with_files(document: dict[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:

@@ -11,13 +11,20 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from asbuilt.tables import share
+from asbuilt.tables import Column, Table, share
 from asbuilt.validation.comparison.significance import probability_text
 from asbuilt.workflow.fleet.drift.drift import FleetDrift, RobotDrift, TypeVariation
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.reports.page import page
-from asbuilt.writers.reports.report_verdict import Card
-from asbuilt.writers.tables.drift_tables import drift_verdict
+from asbuilt.writers.reports.page import (
+    Block,
+    Card,
+    cards_markup,
+    list_markup,
+    page,
+    section_markup,
+    table_markup,
+)
+from asbuilt.writers.tables.fleet_tables import drift_verdict
 
 SMALL, LARGE = (220, 40), (640, 150)
 """Width and height of a history in a row, and in a robot's own part."""
@@ -27,6 +34,19 @@ MOST_POINTS = 240
 """Points of a history; more days are thinned to the largest of neighbours."""
 USUAL = 1.0
 """Distance of a day by natural variation."""
+
+
+CHANGES = """\
+<ul class="sentences">
+<li>{{ verdict }}</li>
+{% for row in rows if row.robot.changed %}
+{% for change in row.robot.what %}
+<li><a href="#robot-{{ row.robot.id | urlencode }}">{{ row.robot.id }}</a>: {{ change.text }}</li>
+{% endfor %}
+{% endfor %}
+</ul>
+"""
+ROBOTS = '{% include "robots.html.j2" %}'
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +80,31 @@ def fleet_html(drift: FleetDrift) -> str:
         drift.robots,
         key=lambda each: (not each.changed, each.false_discovery or 1.0, -_last(each), each.id),
     )
-    contents = [("verdict", "Verdict"), ("robots", "Robots"), ("types", "Types")]
+    rows = [_row(each) for each in order]
+    changes = section_markup(CHANGES, {"verdict": drift_verdict(drift), "rows": rows})
     return page(
-        "fleet.html.j2",
+        "Fleet",
+        f"{len(drift.robots)} robots",
+        [
+            Block(
+                "verdict",
+                "Verdict",
+                (
+                    cards_markup(_cards(drift)),
+                    changes,
+                    list_markup((each.severity, each.text) for each in drift.findings),
+                ),
+            ),
+            Block(
+                "robots",
+                "Robots, those that changed first",
+                (section_markup(ROBOTS, {"rows": rows}),),
+                "Robots",
+            ),
+            Block("types", "Types", (table_markup(Table.of(drift.types, TYPES), "types-table"),)),
+        ],
         title=f"Fleet of {len(drift.robots)} robots",
-        heading="Fleet",
-        subject=f"{len(drift.robots)} robots",
         subtitle=f"Ledger {drift.ledger}",
-        contents=contents,
-        cards=_cards(drift),
-        verdict=drift_verdict(drift),
-        findings=drift.findings,
-        rows=[_row(each) for each in order],
-        types=[(each, _torque_text(each)) for each in drift.types],
     )
 
 
@@ -83,6 +115,15 @@ def _torque_text(kind: TypeVariation) -> str:
         ", ".join(f"{torque:.2g}" for _, torque in some) + f" {unit}"
         for unit, some in groupby(each, key=itemgetter(0))
     )
+
+
+TYPES = (
+    Column("type", of="robot_type"),
+    Column("robots", align="right", of="n_robots"),
+    Column("days", align="right", of="n_days"),
+    Column("directions", align="right", of="n_directions"),
+    Column("natural variation, RMS torque of each joint", of=_torque_text),
+)
 
 
 def _cards(drift: FleetDrift) -> list[Card]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import os
 from pathlib import Path
@@ -21,16 +20,39 @@ from asbuilt.excitation.design_findings import design_findings
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_bounds import limited_model
 from asbuilt.writers.figures.figure_style import blank_figure, figure_address, styled
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import skeleton_frames
-from asbuilt.writers.reports.page import page, table_markup
-from asbuilt.writers.tables.design_tables import design_facts, parameter_table, pose_table
-from asbuilt.writers.tables.limit_tables import margin_table, verdict
+from asbuilt.writers.reports.page import (
+    Block,
+    facts_markup,
+    image_markup,
+    list_markup,
+    page,
+    section_markup,
+    table_markup,
+)
+from asbuilt.writers.tables.design_tables import (
+    design_facts,
+    design_table,
+    design_title,
+    margin_table,
+    margin_verdict,
+)
 
 POINTS = 400
 """Points of a curve; the page stays below 2 MB."""
 
+PATH = "The robot at the start of the motion, and the path of its tool in space"
+JOINTS = """\
+<div class="grid">
+{% for name, image in joints %}
+<figure><h3>{{ name }}</h3><img class="drawn" src="{{ image }}" alt="Position, velocity,\
+ acceleration and torque of {{ name }} over time, with limits"></figure>
+{% endfor %}
+</div>
+<p class="quiet">Dashed: limits. The torque is that of the description, drive values included.</p>
+"""
 CURVE, LIMIT, PATH_SIZE = "#0072b2", "#b3261e", (900, 675)
 
 
@@ -41,32 +63,42 @@ def write_motion_report(path: str | os.PathLike[str], design: Design | StaticDes
 
 def motion_html(design: Design | StaticDesign) -> str:
     """Return the page of a designed motion; it needs no network, and every name is escaped."""
-    is_motion, findings = isinstance(design, Design), design_findings(design)
+    limits = design.limits
+    said = [
+        ("" if limits.is_respected else "bad", margin_verdict(limits)),
+        *(
+            ("" if each.severity == "info" else "bad", each.message)
+            for each in design_findings(design)
+        ),
+    ]
+    title = "Predicted standard errors" if isinstance(design, Design) else "Poses"
+    joints = section_markup(JOINTS, {"joints": _joint_addresses(design)})
     return page(
-        "motion.html.j2",
-        title=f"{design.model.name}: designed motion",
-        robot=design.model.name,
-        what=(
-            f"{design.options.parametrisation} motion of {design.motion.duration:.4g} s,"
-            f" {design.size} {design.size_name}"
-            if isinstance(design, Design)
-            else f"{len(design.poses)} static poses, {design.motion.duration:.4g} s"
-        ),
-        verdict=verdict(design.limits),
-        kept=design.limits.is_respected,
-        findings=findings,
-        facts=design_facts(design) if isinstance(design, Design) else _static_facts(design),
-        margins=table_markup(margin_table(design.limits), "margins"),
-        path_image=_path_address(design),
-        joints=[
-            (name, figure_address(figure))
-            for name, figure in zip(design.model.joint_names, joint_figures(design), strict=True)
+        design.model.name,
+        design_title(design),
+        [
+            Block(
+                "verdict",
+                "Verdict",
+                (
+                    list_markup(said),
+                    facts_markup(design_facts(design)),
+                    table_markup(margin_table(limits), "margins"),
+                ),
+            ),
+            Block("path", "Path of the tool", (image_markup(_path_address(design), PATH),), "Path"),
+            Block("joints-drawn", "Joints and their limits", (joints,), "Joints"),
+            Block("parameters", title, (table_markup(design_table(design), "rows"),)),
         ],
-        rows_title="Predicted standard errors" if is_motion else "Poses",
-        rows=table_markup(
-            parameter_table(design) if isinstance(design, Design) else pose_table(design), "rows"
-        ),
+        title=f"{design.model.name}: designed motion",
     )
+
+
+def _joint_addresses(design: Design | StaticDesign) -> list[tuple[str, str]]:
+    return [
+        (name, figure_address(figure))
+        for name, figure in zip(design.model.joint_names, joint_figures(design), strict=True)
+    ]
 
 
 def joint_figures(design: Design | StaticDesign) -> list[Figure]:
@@ -114,16 +146,4 @@ def _path_address(design: Design | StaticDesign) -> str:
     view = MotionView.of_motion(design.model, design.motion, most=2).first()
     stream = io.BytesIO()
     Image.fromarray(next(skeleton_frames(view, *PATH_SIZE))).save(stream, "PNG")
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
-
-
-def _static_facts(design: StaticDesign) -> list[tuple[str, str]]:
-    return [
-        ("parameters", f"{design.n_parameters} determined by gravity"),
-        ("log det", f"{design.log_det:.2f}"),
-        (
-            "condition number",
-            f"{design.condition_number:.2f} (scaled {design.scaled_condition_number:.2f})",
-        ),
-        ("route", f"{design.route_time:.1f} s, {design.turns} turning poses"),
-    ]
+    return data_address(stream.getvalue(), "image/png")

@@ -6,17 +6,24 @@ escaped.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from asbuilt.arrays import Array
 from asbuilt.codec import plain
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.prediction import Validation
+from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.workflow.study import Study
+from asbuilt.writers.figures.thinning import thinned
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.reports.page import page, resource, section_markup
-from asbuilt.writers.reports.plot_data import plot_data
+from asbuilt.writers.reports.page import Block, page, resource, section_markup
 from asbuilt.writers.reports.section import Report, sections
 
 
@@ -58,17 +65,95 @@ def report_html(
         context = section.context(report)
         if context is not None:
             body = section_markup(section.template, context)
-            shown.append((identifier, section.title, body, section.folded))
+            shown.append(Block(identifier, section.title, (body,), folded=section.folded))
     robot = study.result.robot
     sources = ", ".join(recording_name(source) for source in study.result.sources)
     return page(
-        "report.html.j2",
+        robot,
+        "as built",
+        shown,
         title=f"{robot}, as built",
-        heading=robot,
-        subject="as built",
         subtitle=f"Identified from {sources}",
-        contents=[(identifier, title) for identifier, title, _, folded in shown if not folded],
-        sections=shown,
         data=plain(plot_data(report)),
         script=resource("plot.js") + resource("report.js"),
     )
+
+
+CURVE_POINTS = 90_000
+"""Points of all torque curves of a page together, which keep it below 2 MB."""
+FEWEST, MOST = 300, 2000
+"""Points of a joint's curves in one recording."""
+
+
+def plot_data(report: Report) -> dict[str, Any]:
+    """Return what the page's script draws, ready for JSON."""
+    result, predictions = report.study.result, [each for _, each in report.predictions]
+    joints = max(1, len(predictions) * len(result.joint_names))
+    points = int(np.clip(CURVE_POINTS / joints / 4, FEWEST, MOST))
+    return {
+        "joints": list(result.joint_names),
+        "recordings": [_recording_data(each, points) for each in predictions],
+        "singular_values": _listed(result.singular_values),
+        "rank": result.rank,
+    }
+
+
+def _recording_data(validation: Validation, points: int) -> dict[str, Any]:
+    curves, analysis = validation.friction_curves(), validation.residuals()
+    return {
+        "n_samples": len(validation.t),
+        "joints": [
+            _joint_data(validation, analysis, curves[k], k, points)
+            for k in range(len(validation.joint_names))
+        ],
+    }
+
+
+def _joint_data(
+    validation: Validation, analysis: ResidualAnalysis, friction: VelocityCurve, k: int, points: int
+) -> dict[str, Any]:
+    measured, built, cad = (
+        torque[:, k]
+        for torque in (validation.measured, validation.predicted, validation.predicted_cad)
+    )
+    t, *curves = thinned(validation.t, measured, built, cad, measured - built, points=points)
+    error = measured - built
+    spread = float(np.std(error)) or 1.0
+    clipped = np.clip((error - error.mean()) / spread, -5, 5)
+    counts, edges = np.histogram(
+        clipped[np.isfinite(clipped)], bins=51, range=(-5, 5), density=bool(np.isfinite(spread))
+    )
+    step = max(1, len(analysis.lags) // 200)
+    dots = np.linspace(0, len(validation.t) - 1, min(len(validation.t), 500)).astype(int)
+    order = dots[np.argsort(validation.velocity[dots, k])]
+    return {
+        "unit": validation.units[k],
+        "speed_unit": "rad/s" if validation.units[k] == "N m" else "m/s",
+        "rms": float(f"{validation.metrics_as_built.rms[k]:.3g}"),
+        "rms_cad": float(f"{validation.metrics_cad.rms[k]:.3g}"),
+        "t": _listed(t, 6),
+        "measured": _listed(curves[0]),
+        "built": _listed(curves[1]),
+        "cad": _listed(curves[2]),
+        "histogram": {
+            "z": _listed(0.5 * (edges[1:] + edges[:-1])),
+            "density": _listed(counts),
+            "spread": float(f"{spread:.3g}"),
+        },
+        "lags": _listed(analysis.lags[::step]),
+        "correlation": _listed(analysis.autocorrelation[::step, k], 3),
+        "band": float(f"{1.96 / math.sqrt(analysis.n_samples):.4g}"),
+        "friction": {
+            "speed": _listed(validation.velocity[order, k], 4),
+            "torque": _listed(error[order] + validation.drive[order, k], 4),
+            "law": _listed(validation.drive[order, k], 4),
+            "bin": _listed(friction.velocity, 4),
+            "median": _listed(friction.median, 4),
+        },
+    }
+
+
+def _listed(values: Array, digits: int = 5) -> list[float | None]:
+    return [
+        float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()
+    ]

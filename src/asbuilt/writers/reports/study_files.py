@@ -12,7 +12,6 @@ from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.identification.result.summary import Summary
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
@@ -23,14 +22,14 @@ from asbuilt.writers.models.physical import impossibilities
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.tables.drive_tables import motor_side_table
-from asbuilt.writers.tables.mass_table import ExportedMasses, exported_masses
+from asbuilt.writers.tables.mass_tables import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
 from asbuilt.writers.tables.rollout_tables import refined_text, rollout_text, with_rollouts
 from asbuilt.writers.tables.tabular import (
+    identified_table,
     identify_document,
     prediction_table,
     write_json,
-    write_parameters_csv,
 )
 
 MEMBERS = (
@@ -61,8 +60,10 @@ def study_text(
     if not full:
         text = study.summary().as_text(cure_text=cure_text)
         return text if payload is None else f"{text}\n{payload_table(payload).as_text()}"
-    masses = exported_masses(study.result)
-    parts = [with_masses(study.summary(), masses).as_text(full, cure_text)]
+    summary, masses = study.summary(), exported_masses(study.result)
+    if masses is not None:
+        summary = summary.with_mass((masses.total_cad, masses.total_as_built), masses.links)
+    parts = [summary.as_text(full, cure_text)]
     if gear_ratios(study.result.model):
         drives = motor_side_table(motor_side_parameters(study.result)).as_text(full)
         parts.append(f"Drives at the motor\n{drives}")
@@ -77,14 +78,6 @@ def study_text(
     if payload is not None:
         parts.append(payload_text(payload, full))
     return "\n".join(parts)
-
-
-def with_masses(summary: Summary, masses: ExportedMasses | None) -> Summary:
-    """Return a summary with the masses of the links by CAD and as built."""
-    if masses is None:
-        return summary
-    links = tuple(zip(masses.names, masses.cad, masses.as_built, strict=True))
-    return summary.with_mass(masses.totals, links)
 
 
 def study_document(
@@ -117,9 +110,10 @@ def write_study(
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     """Write the files of a study into a folder.
 
-    These are result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as
-    built, robot.toml; cutoff.png and payload.json if there is one. If the robot came from a URDF
-    and is physically consistent, robot.urdf is that file as built.
+    These are result.json, summary.txt, parameters.csv and the robot as built, robot.toml;
+    torque.png and report.html if there are samples, which studies of a ledger lack; cutoff.png and
+    payload.json if there is one. If the robot came from a URDF and is physically consistent,
+    robot.urdf is that file as built.
 
     Parameters
     ----------
@@ -137,53 +131,30 @@ def write_study(
     tuple
         Paths by kind, and notes by kind: what a file cannot hold, or why it was not written.
     """
-    result = study.result
-    with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
-        return _write_members(folder, study, payload, command)
-
-
-def write_study_without_samples(
-    folder: Path, study: Study
-) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
-    """Write the files of a study that need no samples, as those of a ledger.
-
-    These are result.json, summary.txt, parameters.csv, robot.toml and robot.urdf. Returns paths
-    and notes as `write_study`.
-    """
-    with file_set(folder, "result.json", MEMBERS, keep=study.result.model.source):
-        files = _write_tables(folder, study, None)
-        robots, notes = _write_robot(folder, study.result)
-        return files | robots, notes
-
-
-def _write_tables(folder: Path, study: Study, payload: Payload | None) -> dict[str, Path]:
-    return {
-        "result": write_result(folder / "result.json", study),
-        "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
-        "parameters": write_parameters_csv(folder / "parameters.csv", study.result),
-    }
-
-
-def _write_members(
-    folder: Path, study: Study, payload: Payload | None, command: Sequence[str]
-) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     from asbuilt.writers.figures.cutoff_figure import cutoff_figure  # noqa: PLC0415 - light start
     from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
     from asbuilt.writers.reports.report import write_report  # noqa: PLC0415 - light start
 
-    result = study.result
-    files = _write_tables(folder, study, payload)
-    if payload is not None:
-        files["payload"] = write_json(folder / "payload.json", payload_document(payload))
-    files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
-    if study.cutoffs is not None:
-        files["cutoff"] = save_figure(
-            cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"),
-            folder / "cutoff.png",
-        )
-    files["report"] = write_report(folder / "report.html", study, payload=payload, command=command)
-    robots, notes = _write_robot(folder, result)
-    return files | robots, notes
+    result, shown = study.result, [*study.validations, *study.training]
+    parameters = identified_table(result).as_csv()
+    with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
+        files = {
+            "result": write_result(folder / "result.json", study),
+            "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
+            "parameters": atomic_write(folder / "parameters.csv", parameters),
+        }
+        if payload is not None:
+            files["payload"] = write_json(folder / "payload.json", payload_document(payload))
+        if shown:
+            files["torque"] = _draw(folder / "torque.png", result, shown[0])
+        if study.cutoffs is not None:
+            drawn = cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass")
+            files["cutoff"] = save_figure(drawn, folder / "cutoff.png")
+        if shown:
+            page = folder / "report.html"
+            files["report"] = write_report(page, study, payload=payload, command=command)
+        robots, notes = _write_robot(folder, result)
+        return files | robots, notes
 
 
 def _write_robot(
@@ -192,34 +163,25 @@ def _write_robot(
     """Write robot.toml and robot.urdf, if there can be such, and note what they lack."""
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
+    kind = "robot"
     try:
         built = as_built(result)
-        files["robot"], notes["robot"] = (
-            write_robot_toml(folder / "robot.toml", built.model),
-            load_note(result, built),
-        )
-    except (IdentifiabilityError, DescriptionError) as problem:
-        notes["robot"] = (f"not written: {problem}",)
-        return files, notes
-    try:
+        files["robot"] = write_robot_toml(folder / "robot.toml", built.model)
+        notes["robot"] = load_note(result, built)
+        kind = "urdf"
         original, missing = urdf_to_edit(result.model)
         notes["urdf"] = tuple(f"not written: {why}" for why in missing)
-        if original is not None:
-            impossible, (in_simulators, kept) = (
-                impossibilities(built.model),
-                keeping_described_drives(built.model, result.model),
-            )
-            if impossible:
-                notes["urdf"] = (
-                    (f"not written: {impossible[0]}; the nearest consistent model can be exported"),
-                )
-            else:
-                files["urdf"], said = write_urdf(
-                    folder / "robot.urdf", in_simulators, original=original
-                )
-                notes["urdf"] = (*said, *kept)
-    except DescriptionError as problem:
-        notes["urdf"] = (f"not written: {problem}",)
+        impossible = original is not None and impossibilities(built.model)
+        in_simulators, kept = keeping_described_drives(built.model, result.model)
+        if impossible:
+            can = "the nearest consistent model can be exported"
+            notes["urdf"] = (f"not written: {impossible[0]}; {can}",)
+        elif original is not None:
+            place = folder / "robot.urdf"
+            files["urdf"], said = write_urdf(place, in_simulators, original=original)
+            notes["urdf"] = (*said, *kept)
+    except (IdentifiabilityError, DescriptionError) as problem:
+        notes[kind] = (f"not written: {problem}",)
     return files, {kind: said for kind, said in notes.items() if said}
 
 

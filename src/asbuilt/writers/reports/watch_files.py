@@ -1,19 +1,33 @@
-"""Files of a watched log."""
+"""Files and pages of checked recordings and of watched logs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from asbuilt.codec import json_text
+from asbuilt.experiment.logs.long_recordings import head_of
+from asbuilt.experiment.logs.recordings import Recorded
+from asbuilt.experiment.quality.checks import RecordingCheck
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Finding
+from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.watching.threshold_files import thresholds_text
 from asbuilt.workflow.watching.watched_log import WatchedLog, duration
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
-from asbuilt.writers.figures.watch_figure import watch_figure
+from asbuilt.writers.figures.recording_figures import recording_figure, watch_figure
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.reports.page import page, table_markup
-from asbuilt.writers.reports.report_verdict import Card
+from asbuilt.writers.reports.page import (
+    Block,
+    Card,
+    cards_markup,
+    image_markup,
+    list_markup,
+    page,
+    paragraph_markup,
+    table_markup,
+)
 
 
 def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
@@ -48,18 +62,52 @@ def watch_html(watched: WatchedLog) -> str:
             + ("" if verified else f"; not verified, from {duration(3600.0 * thresholds.hours)}"),
         ),
     ]
-    return page(
-        "watch.html.j2",
-        title=f"{watched.robot}: {watched.source}",
-        heading=watched.robot,
-        subject=watched.source,
-        subtitle="",
-        contents=[("verdict", "Verdict"), ("torque", "External torque")]
-        + ([("events", "Events")] if events else []),
-        cards=cards,
-        sentences=watched.sentences(),
-        findings=[each.text for each in watched.findings],
-        image=figure_address(watch_figure(watched)),
-        narrow_image=figure_address(watch_figure(watched, narrow=True)),
-        events_table=table_markup(watched.table(), "events-table") if events else "",
+    drawn = image_markup(
+        figure_address(watch_figure(watched)),
+        "Residual of the momentum observer and its thresholds at every joint; the events are in"
+        " the table below",
+        narrow=figure_address(watch_figure(watched, narrow=True)),
     )
+    said = [*watched.sentences(), *(each.text for each in watched.findings)]
+    table = [table_markup(watched.table(), "events-table")] if events else []
+    return page(
+        watched.robot,
+        watched.source,
+        [
+            Block("verdict", "Verdict", (cards_markup(cards), list_markup(said))),
+            Block("torque", "External torque, joint by joint", (drawn,), "External torque"),
+            Block("events", "Events", table),
+        ],
+    )
+
+
+DRAWN = (
+    "Position and torque of every joint over time, with lines where findings begin; the findings"
+    " are listed above"
+)
+
+
+def write_check_page(
+    folder: Path,
+    recordings: Sequence[Recorded],
+    checks: Sequence[RecordingCheck],
+    finding_text: Callable[[Finding], str] = str,
+) -> dict[str, Path]:
+    """Write check.html, which draws each recording with its findings; return its path by kind.
+
+    Of a long recording the beginning is drawn. `finding_text` writes a finding, for an interface
+    that adds the names of its options.
+    """
+    blocks = []
+    for k, (recording, check) in enumerate(zip(recordings, checks, strict=True)):
+        mood = "bad" if check.errors else "" if check.warnings else "good"
+        parts = [
+            paragraph_markup(check.headline, f"verdict {mood}"),
+            list_markup((each.severity, finding_text(each)) for each in check.findings),
+        ]
+        if not isinstance(recording, Samples):
+            address = figure_address(recording_figure(head_of(recording), check))
+            parts.append(image_markup(address, DRAWN))
+        blocks.append(Block(f"log-{k}", recording_name(check.source), parts))
+    text = page(checks[0].robot, "recordings checked", blocks)
+    return {"page": atomic_write(folder / "check.html", text)}

@@ -1,23 +1,23 @@
-"""Designed motions and static poses as text and as documents."""
+"""Designed motions and static poses, and the margins of motions, as text and as documents."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from asbuilt.codec import plain
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.excitation.design.designed_motion import Design, position_of
 from asbuilt.excitation.design.static_poses import StaticDesign
 from asbuilt.excitation.design_findings import design_findings
 from asbuilt.excitation.limits import LimitReport
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, joined
 from asbuilt.tables import WIDTH, Column, Table, numbered, share, significant, wrapped
 from asbuilt.writers.files import path_texts
-from asbuilt.writers.tables.limit_tables import margin_table, verdict
 
 LISTED = 8
 """Worst determined parameters, or poses, in a short text."""
@@ -28,143 +28,127 @@ LARGEST_CONDITION = 1e7
 Spell = Callable[[Cure | str | None], str]
 
 
-def static_document(design: StaticDesign, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the JSON document of static poses."""
+def design_document(design: Design | StaticDesign, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return the JSON document of a designed motion or of static poses."""
+    own = _motion_document(design) if isinstance(design, Design) else _poses_document(design)
+    findings = design_findings(design)
     return {
         "robot": design.model.name,
-        "parametrisation": "static",
         "duration": design.motion.duration,
-        "n_harmonics": None,
-        "n_poses": len(design.poses),
-        "n_parameters": design.n_parameters,
-        "poses": design.poses.tolist(),
-        "joints": list(design.model.joint_names),
         "log_det": design.log_det,
-        "d_efficiency": None,
         "condition_number": design.condition_number,
         "scaled_condition_number": design.scaled_condition_number,
         "worst_margin": design.limits.worst_margin,
-        "n_turns": design.turns,
         "collision_distance": design.collision_distance,
         "solve_seconds": design.solve_seconds,
-        "findings": [finding.as_dict() for finding in design_findings(design)],
-        "files": path_texts(files),
-    }
-
-
-def excite_document(design: Design, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the JSON document of a designed motion."""
-    bound, findings = design.bound, design_findings(design)
-    return {
-        "robot": design.model.name,
-        "parametrisation": design.options.parametrisation,
-        "drive": str(design.base.drive),
-        "criterion": design.options.criterion,
-        "focus": list(design.options.focus),
-        "duration": design.motion.duration,
-        "n_harmonics": design.size if design.options.parametrisation == "fourier" else None,
-        "size": design.size,
-        "periods": design.options.periods or 1,
-        "n_parameters": design.base.n_base,
-        "log_det": design.log_det,
-        "d_efficiency": design.d_efficiency,
-        "family_efficiency": design.family_efficiency,
-        "log_det_bound": (
-            None
-            if bound is None
-            else bound.upper + design.base.n_base * float(np.log(design.n_samples))
-        ),
-        "condition_number": design.condition_number,
-        "scaled_condition_number": design.scaled_condition_number,
-        "worst_margin": design.limits.worst_margin,
-        "assumed_limits": list(design.assumed),
-        "collision_distance": design.collision_distance,
-        "noise": design.noise.tolist(),
-        "n_samples": design.n_samples,
-        "parameters": [
-            {
-                "id": int(i),
-                "name": name,
-                "unit": unit,
-                "cad": cad,
-                "std_error": error if np.isfinite(error) else None,
-                "torque_effect": effect if np.isfinite(effect) else None,
-            }
-            for i, name, unit, cad, error, effect in zip(
-                design.base.ids,
-                design.base.names,
-                design.base.units,
-                _cad(design),
-                design.std_errors.tolist(),
-                design.torque_effects.tolist(),
-                strict=True,
-            )
-        ],
-        "durations_tried": [asdict(trial) for trial in design.trials],
-        "searches": len(design.candidates),
-        "interrupted": design.interrupted,
-        "solve_seconds": design.solve_seconds,
-        "notes": [finding.message for finding in findings if finding.code != "duration_tried"],
+        **own,
         "findings": [finding.as_dict() for finding in findings],
         "files": path_texts(files),
     }
 
 
-def excite_text(design: Design, *, full: bool = False, spell: Spell = str) -> str:
-    """Return a design as text: limits, worst news, information, margins, worst parameters.
+def _poses_document(design: StaticDesign) -> dict[str, Any]:
+    return {
+        "parametrisation": "static",
+        "n_harmonics": None,
+        "n_poses": len(design.poses),
+        "n_parameters": design.n_parameters,
+        "poses": design.poses.tolist(),
+        "joints": list(design.model.joint_names),
+        "d_efficiency": None,
+        "n_turns": design.turns,
+    }
+
+
+def _motion_document(design: Design) -> dict[str, Any]:
+    bound, base, options = design.bound, design.base, design.options
+    columns = {
+        "id": base.ids,
+        "name": base.names,
+        "unit": base.units,
+        "cad": _cad(design),
+        "std_error": design.std_errors,
+        "torque_effect": design.torque_effects,
+    }
+    rows = zip(*map(plain, columns.values()), strict=True)
+    findings = design_findings(design)
+    return {
+        "parametrisation": options.parametrisation,
+        "drive": str(base.drive),
+        "criterion": options.criterion,
+        "focus": list(options.focus),
+        "n_harmonics": design.size if options.parametrisation == "fourier" else None,
+        "size": design.size,
+        "periods": options.periods or 1,
+        "n_parameters": base.n_base,
+        "d_efficiency": design.d_efficiency,
+        "family_efficiency": design.family_efficiency,
+        "log_det_bound": (
+            None if bound is None else bound.upper + base.n_base * float(np.log(design.n_samples))
+        ),
+        "assumed_limits": list(design.assumed),
+        "noise": design.noise.tolist(),
+        "n_samples": design.n_samples,
+        "parameters": [dict(zip(columns, row, strict=True)) for row in rows],
+        "durations_tried": [asdict(trial) for trial in design.trials],
+        "searches": len(design.candidates),
+        "interrupted": design.interrupted,
+        "notes": [finding.message for finding in findings if finding.code != "duration_tried"],
+    }
+
+
+def design_text(design: Design | StaticDesign, *, full: bool = False, spell: Spell = str) -> str:
+    """Return a design as text: limits, worst news, information, margins, and its main table.
 
     Parameters
     ----------
     full
-        Whether to list all parameters and findings.
+        Whether to list all parameters, or poses, and findings.
     spell
         Returns the text of a cure.
     """
-    options, findings = design.options, design_findings(design)
-    periods = f" in {options.periods} periods" if (options.periods or 1) > 1 else ""
-    title = (
-        f"{design.model.name} - {options.parametrisation} motion of {design.motion.duration:g} s,"
-        f" {design.size} {design.size_name}{periods}, {design.base.n_base} parameters"
-    )
-    parameters = parameter_table(design)
+    findings = design_findings(design)
+    notes = [each.message for each in findings if each.severity == "info"]
+    bad = [
+        each.message + (f"; {spell(each.cure)}" if each.cure else "")
+        for each in findings
+        if each.severity != "info"
+    ]
     return "\n".join(
         [
-            wrapped(title),
-            *_verdict(design.limits, findings, spell),
+            wrapped(f"{design.model.name} - {design_title(design)}"),
+            *map(wrapped, (margin_verdict(design.limits), *bad)),
             *(wrapped(text, f"{name:<18} ") for name, text in design_facts(design)),
             "",
             margin_table(design.limits).as_text(full),
-            parameters.as_text(full).rstrip(),
-            *_notes(findings, full),
+            design_table(design).as_text(full).rstrip(),
+            *numbered(notes if full else notes[:4]),
         ]
     )
 
 
-def static_text(design: StaticDesign, *, full: bool = False, spell: Spell = str) -> str:
-    """Return static poses as text; arguments of `excite_text`."""
-    findings, p = design_findings(design), design.n_parameters
-    title = (
-        f"{design.model.name} - {len(design.poses)} poses for the {p}"
-        f" parameter{'s' if p > 1 else ''} that gravity determines,"
-        f" route of {design.route_time:.1f} s"
-    )
-    condition = f"{design.condition_number:.2f} (scaled {design.scaled_condition_number:.2f})"
-    return "\n".join(
-        [
-            wrapped(title),
-            *_verdict(design.limits, findings, spell),
-            f"{'log det':<18} {design.log_det:.2f}, found in {design.solve_seconds:.1f} s",
-            f"{'condition number':<18} {condition}",
-            "",
-            pose_table(design).as_text(full),
-            margin_table(design.limits).as_text(full).rstrip(),
-            *_notes(findings, full),
-        ]
+def design_title(design: Design | StaticDesign) -> str:
+    """Return what was designed."""
+    if isinstance(design, StaticDesign):
+        return (
+            f"{len(design.poses)} poses for the {design.n_parameters}"
+            f" parameter{'s' if design.n_parameters > 1 else ''} that gravity determines,"
+            f" route of {design.route_time:.1f} s"
+        )
+    options = design.options
+    periods = f" in {options.periods} periods" if (options.periods or 1) > 1 else ""
+    return (
+        f"{options.parametrisation} motion of {design.motion.duration:g} s,"
+        f" {design.size} {design.size_name}{periods}, {design.base.n_base} parameters"
     )
 
 
-def design_facts(design: Design) -> list[tuple[str, str]]:
+def design_facts(design: Design | StaticDesign) -> list[tuple[str, str]]:
     """Return name and text of each figure of a design."""
+    if isinstance(design, StaticDesign):
+        condition = f"{design.condition_number:.2f} (scaled {design.scaled_condition_number:.2f})"
+        found = f"{design.log_det:.2f}, found in {design.solve_seconds:.1f} s"
+        return [("log det", found), ("condition number", condition)]
     family, options = design.family_efficiency, design.options
     facts = [
         ("drive terms", f"{design.base.drive}, noise {_listed(design.noise)} N m (N)"),
@@ -185,43 +169,44 @@ def design_facts(design: Design) -> list[tuple[str, str]]:
     return [*facts, ("search", found)]
 
 
-def parameter_table(design: Design) -> Table:
+def design_table(design: Design | StaticDesign) -> Table:
+    """Return the parameters of a designed motion, or the poses."""
+    return _pose_table(design) if isinstance(design, StaticDesign) else _parameter_table(design)
+
+
+def _parameter_table(design: Design) -> Table:
     """Return the predicted standard errors, parameters in focus and worst determined ones first."""
     cad = np.array([np.nan if value is None else value for value in _cad(design)])
-    errors, effects = design.std_errors, design.torque_effects
+    base, errors, effects = design.base, design.std_errors, design.torque_effects
     ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)
-    asked = [position_of(design.base, name) for name in design.options.focus]
+    asked = [position_of(base, name) for name in design.options.focus]
     worst = np.argsort(-errors * np.sqrt(np.diag(design.mean_information))).tolist()
     order = [*asked, *(i for i in worst if i not in asked)]
-    rows = tuple(
-        (
-            int(design.base.ids[i]),
-            design.base.names[i],
-            design.base.units[i],
-            None if np.isnan(cad[i]) else significant(float(cad[i]), 3),
-            significant(float(errors[i]), 2) if np.isfinite(errors[i]) else "undetermined",
-            f"{100 * ratio[i]:.1f}" if np.isfinite(ratio[i]) else None,
-            f"{100 * effects[i]:.2g}" if np.isfinite(effects[i]) else None,
-        )
-        for i in order
+    columns = (
+        Column("id", align="right", of=lambda i: int(base.ids[i])),
+        Column("parameter", of=lambda i: base.names[i]),
+        Column("unit", of=lambda i: base.units[i]),
+        Column("CAD", align="decimal", style=3, of=lambda i: cad[i]),
+        Column(
+            "std err",
+            align="decimal",
+            of=lambda i: significant(errors[i], 2) if np.isfinite(errors[i]) else "undetermined",
+        ),
+        Column("of CAD", "%", "decimal", ".1f", of=lambda i: 100 * ratio[i]),
+        Column("of torque", "%", "decimal", ".2g", of=lambda i: 100 * effects[i]),
     )
-    heads = (
-        Column("id", align="right"),
-        Column("parameter"),
-        Column("unit"),
-        Column("CAD", align="decimal"),
-        Column("std err", align="decimal"),
-        Column("of CAD", "%", align="decimal"),
-        Column("of torque", "%", align="decimal"),
+    return Table.of(
+        order,
+        columns,
+        f"{'parameters in focus, then ' if asked else ''}worst determined parameters, predicted",
+        details=(
+            "of torque: torque of one standard error over the torque, both RMS on the motion",
+        ),
+        important=tuple(range(min(len(order), max(LISTED, len(asked))))),
     )
-    asked_first = "parameters in focus, then " if asked else ""
-    title = f"{asked_first}worst determined parameters, predicted"
-    details = ("of torque: torque of one standard error over the torque, both RMS on the motion",)
-    listed = tuple(range(min(len(rows), max(LISTED, len(asked)))))
-    return Table(heads, rows, title, details=details, important=listed)
 
 
-def pose_table(design: StaticDesign) -> Table:
+def _pose_table(design: StaticDesign) -> Table:
     """Return the poses, one row each."""
     names = design.model.joint_names
     if sum(max(len(name), 7) + 2 for name in names) + 4 > WIDTH:
@@ -237,19 +222,32 @@ def pose_table(design: StaticDesign) -> Table:
     return Table(heads, rows, important=tuple(range(min(len(rows), LISTED))))
 
 
-def _verdict(limits: LimitReport, findings: Sequence[Finding], spell: Spell) -> list[str]:
-    """Return the verdict and what is wrong."""
-    bad = [finding for finding in findings if finding.severity != "info"]
-    lines = [verdict(limits)]
-    for finding in bad:
-        cure = spell(finding.cure) if finding.cure else ""
-        lines.append(finding.message + (f"; {cure}" if cure else ""))
-    return [wrapped(line) for line in lines]
+def margin_verdict(limits: LimitReport) -> str:
+    """Return whether the limits are kept, and the smallest margin."""
+    margins = [margin for margin in limits.worst.values() if margin is not None]
+    if not margins:
+        return "NO LIMITS: the description gives none"
+    worst = min(margins, key=lambda margin: margin.margin)
+    place = f"{worst.quantity} of {worst.joint} at {worst.time:.2f} s"
+    if limits.violations:
+        return f"LIMITS VIOLATED: margin {share(worst.margin)}, {place}"
+    return f"limits kept, smallest margin {share(worst.margin)} ({place})"
 
 
-def _notes(findings: Sequence[Finding], full: bool) -> list[str]:
-    notes = [finding.message for finding in findings if finding.severity == "info"]
-    return numbered(notes if full else notes[:4])
+MARGINS = (
+    Column("limit", of="quantity"),
+    Column("nearest joint", width=24, of="joint"),
+    Column("time", "s", "decimal", ".3f", of="time"),
+    Column("value", align="decimal", style=4, of="value"),
+    Column("allowed", align="decimal", style=4, of="limit"),
+    Column("unit", of="unit"),
+    Column("margin", "%", "decimal", ".1f", of=lambda margin: 100 * margin.margin),
+)
+
+
+def margin_table(limits: LimitReport) -> Table:
+    """Return the smallest margin of each quantity, with its joint and time."""
+    return Table.of([each for each in limits.worst.values() if each is not None], MARGINS)
 
 
 def _condition(number: float, digits: int) -> str:

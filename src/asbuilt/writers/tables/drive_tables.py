@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from typing import Any
 
+from asbuilt.codec import plain
 from asbuilt.dynamics.drives.selection import available_terms
+from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.findings import joined
 from asbuilt.identification.calibration.torque_gains import TorqueGains
 from asbuilt.identification.calibration.two_channels import TwoChannelEstimate
@@ -45,7 +46,7 @@ def drives_document() -> dict[str, Any]:
                         "default": s.default,
                         "lower": s.lower,
                         "upper": s.upper,
-                        "credible": _number_pair(s.credible),
+                        "credible": plain(s.credible),
                         "of_top_speed": s.speed,
                         "unit": s.unit,
                         "fitted": s.fitted,
@@ -61,46 +62,36 @@ def drives_document() -> dict[str, Any]:
 
 def drives_text(full: bool = False) -> str:
     """Return the drive terms as a table, and how to choose them; with units if `full`."""
-    rows = []
-    for term in available_terms().values():
-        options = ", ".join(
-            f"[{s.name} {s.default:g}]" if s.fitted else f"{s.name} {s.default:g}"
-            for s in term.nonlinear
-        )
-        rows.append(
-            (
-                term.key + ("*" if term.tried_for else ""),
-                " ".join(term.symbols),
-                term.formula,
-                options or "-",
-                ", ".join(term.units(revolute=True)),
-            )
-        )
     columns = (
-        Column("term"),
-        Column("parameters", detail=True),
-        Column("torque"),
-        Column("options"),
-        Column("units", detail=True),
+        Column("term", of=lambda term: term.key + ("*" if term.tried_for else "")),
+        Column("parameters", detail=True, of=lambda term: " ".join(term.symbols)),
+        Column("torque", of="formula"),
+        Column("options", of=_options),
+        Column("units", detail=True, of=lambda term: ", ".join(term.units(revolute=True))),
     )
-    return Table(columns, tuple(rows), notes=USE).as_text(full)
+    return Table.of(available_terms().values(), columns, notes=USE).as_text(full)
+
+
+def _options(term: DriveTerm) -> str:
+    options = ((f"{each.name} {each.default:g}", each.fitted) for each in term.nonlinear)
+    return ", ".join(f"[{text}]" if fitted else text for text, fitted in options) or "-"
 
 
 def gains_document(found: TorqueGains) -> dict[str, Any]:
     """Return gains as plain data; `option` and `sheet` are the gains to use as text."""
     return {
         "joints": list(found.joint_names),
-        "gains": [_number(value) for value in found.gains],
-        "std_errors": [_number(value) for value in found.std_errors],
+        "gains": plain(found.gains),
+        "std_errors": plain(found.std_errors),
         "in_use": found.in_use.tolist(),
-        "factors": [_number(value) for value in found.factors],
-        "factor_std_errors": [_number(value) for value in found.factor_std_errors],
+        "factors": plain(found.factors),
+        "factor_std_errors": plain(found.factor_std_errors),
         "determined": found.determined.tolist(),
         "gain": [float(value) for value in _listed(found).split(",")],
         "option": _option(found),
         "of_command": found.of_command,
         "sheet": _sheet_line(found),
-        "payload_share": [_number(value) for value in found.payload_share],
+        "payload_share": plain(found.payload_share),
         "known": list(found.known),
         "frame": found.frame,
         "payload": found.payload.tolist(),
@@ -111,38 +102,33 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
 
 def gains_text(found: TorqueGains, full: bool = False) -> str:
     """Return gains as a table, and the option and the line of a recording sheet that use them."""
+    factors, errors, shares = found.factors, found.factor_std_errors, found.payload_share
+    gain = "kp [N m/rad]" if found.of_command else "torque per logged unit"
     columns = (
-        Column("joint"),
-        Column("gain in use", align="right", style="g", detail=found.of_command),
-        Column("factor", detail=found.of_command),
-        Column("kp [N m/rad]" if found.of_command else "torque per logged unit"),
-        Column("payload", "% of torque", "right"),
-        Column("determined"),
+        Column("joint", of=lambda k: found.joint_names[k]),
+        Column(
+            "gain in use",
+            "",
+            "right",
+            "g",
+            None,
+            found.of_command,
+            lambda k: float(found.in_use[k]),
+        ),
+        Column("factor", detail=found.of_command, of=lambda k: plus_minus(factors[k], errors[k])),
+        Column(gain, of=lambda k: plus_minus(found.gains[k], found.std_errors[k])),
+        Column(
+            "payload",
+            "% of torque",
+            "right",
+            of=lambda k: f"{100 * shares[k]:.0f}" if shares[k] >= 0.0 else "-",
+        ),
+        Column("determined", of=lambda k: "yes" if found.determined[k] else "NO"),
     )
-    rows = [
-        (
-            name,
-            float(used),
-            plus_minus(float(factor), float(factor_error)),
-            plus_minus(float(gain), float(error)),
-            f"{100 * share:.0f}" if share >= 0.0 else "-",
-            "yes" if determined else "NO",
-        )
-        for name, used, factor, factor_error, gain, error, share, determined in zip(
-            found.joint_names,
-            found.in_use,
-            found.factors,
-            found.factor_std_errors,
-            found.gains,
-            found.std_errors,
-            found.payload_share,
-            found.determined,
-            strict=True,
-        )
-    ]
     notes = tuple(f"{text[0].upper()}{text[1:]}." for text in found.sentences())
     shown = notes if full else notes[:MOST_NOTES]
-    text = Table(columns, tuple(rows), title="Torque gains", notes=shown).as_text(full)
+    joints = range(len(found.joint_names))
+    text = Table.of(joints, columns, "Torque gains", notes=shown).as_text(full)
     if not found.determined.any():
         return text
     return "\n".join(
@@ -180,14 +166,6 @@ def _stiffnesses(found: TorqueGains) -> list[float | str]:
     ]
 
 
-def _number_pair(values: tuple[float, float]) -> list[float | None]:
-    return [_number(value) for value in values]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
 def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
     """Return an estimate from sensors and motors together as plain data."""
     return {
@@ -213,7 +191,7 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
         "rms_sensor": found.rms_sensor.tolist(),
         "rms_motor": found.rms_motor.tolist(),
         "motor_scale": [
-            {"joint": name, "estimate": _number(scale), "std_error": _number(error)}
+            {"joint": name, "estimate": plain(scale), "std_error": plain(error)}
             for name, scale, error in zip(
                 found.joint_names, found.scales.tolist(), found.scale_errors.tolist(), strict=True
             )
@@ -225,81 +203,59 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
 
 def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
     """Return an estimate from sensors and motors together as tables."""
-    rows = [
-        (name, unit, "motor" if motor else "link", plus_minus(value, error), percent(value, error))
-        for name, unit, motor, value, error in zip(
-            found.names,
-            found.units,
-            found.of_motor_side,
-            found.values.tolist(),
-            found.std_errors.tolist(),
-            strict=True,
-        )
-    ]
-    values = list(zip(found.values.tolist(), found.std_errors.tolist(), strict=True))
-    errors = tuple(
-        (name, sensor, motor, plus_minus(scale, error))
-        for name, sensor, motor, scale, error in zip(
-            found.joint_names,
-            found.rms_sensor.tolist(),
-            found.rms_motor.tolist(),
-            found.scales.tolist(),
-            found.scale_errors.tolist(),
-            strict=True,
-        )
-    )
-    notes = [
-        f"UNDETERMINED by this motion: {text}."
-        for text in [joined(found.estimate.undetermined)]
-        if found.estimate.undetermined
-    ]
+    values, spread = found.values, found.std_errors
+    scales, doubts = found.scales, found.scale_errors
+    lost = joined(found.estimate.undetermined)
+    notes = [f"UNDETERMINED by this motion: {lost}."] if lost else []
     details = (
         "Side link: torque that sensors and motors measure; side motor (names with m): torque that"
         " motors alone measure. Standard errors allow for residual correlation.",
     )
-    columns = (
-        Column("parameter"),
-        Column("unit"),
-        Column("side"),
-        Column("value"),
-        Column("%", align="decimal"),
-    )
-    n_motor = int(found.of_motor_side.sum())
+    n, n_motor = len(found.names), int(found.of_motor_side.sum())
     title = (
-        f"{found.robot}: sensors and motors together, {len(found.names)} parameters, {n_motor} of"
+        f"{found.robot}: sensors and motors together, {n} parameters, {n_motor} of"
         " them of the motor side"
     )
-    size = [abs(value) / error if error > 0 else 0.0 for value, error in values]
-    order = sorted(range(len(size)), key=lambda k: -size[k])[:MOST_ROWS]
-    parameters = Table(
-        columns, tuple(rows), title, tuple(notes), details, important=tuple(sorted(order))
+    size = [
+        abs(value) / error if error > 0 else 0.0
+        for value, error in zip(values, spread, strict=True)
+    ]
+    most = sorted(range(n), key=lambda k: -size[k])[:MOST_ROWS]
+    parameters = Table.of(
+        range(n),
+        (
+            Column("parameter", of=lambda k: found.names[k]),
+            Column("unit", of=lambda k: found.units[k]),
+            Column("side", of=lambda k: "motor" if found.of_motor_side[k] else "link"),
+            Column("value", of=lambda k: plus_minus(values[k], spread[k])),
+            Column("%", align="decimal", of=lambda k: percent(values[k], spread[k])),
+        ),
+        title,
+        notes=tuple(notes),
+        details=details,
+        important=tuple(sorted(most)),
     )
-    heads = (
-        Column("joint"),
-        Column("RMS sensor", "N m", "decimal", ".3g"),
-        Column("RMS motor", "N m", "decimal", ".3g"),
-        Column("motor / sensor"),
+    errors = Table.of(
+        range(len(found.joint_names)),
+        (
+            Column("joint", of=lambda k: found.joint_names[k]),
+            Column("RMS sensor", "N m", "decimal", ".3g", of=lambda k: found.rms_sensor[k]),
+            Column("RMS motor", "N m", "decimal", ".3g", of=lambda k: found.rms_motor[k]),
+            Column("motor / sensor", of=lambda k: plus_minus(scales[k], doubts[k])),
+        ),
     )
-    return stacked((Table(heads, errors), parameters), full)
+    return stacked((errors, parameters), full)
+
+
+MOTOR_SIDE = (
+    Column("parameter", of="name"),
+    Column("unit", of="unit"),
+    Column("gear ratio", align="right", of="gear_ratio"),
+    Column("at the joint", align="decimal", style=".4g", of="joint_side"),
+    Column("at the motor", of=lambda each: plus_minus(each.motor_side, each.std_error)),
+)
 
 
 def motor_side_table(parameters: Sequence[MotorSideParameter]) -> Table:
     """Return drive parameters at the joint and at the shaft of the motor."""
-    rows = [
-        (
-            each.name,
-            each.unit,
-            each.gear_ratio,
-            each.joint_side,
-            plus_minus(each.motor_side, each.std_error),
-        )
-        for each in parameters
-    ]
-    columns = (
-        Column("parameter"),
-        Column("unit"),
-        Column("gear ratio", align="right"),
-        Column("at the joint", align="decimal", style=".4g"),
-        Column("at the motor"),
-    )
-    return Table(columns, tuple(rows))
+    return Table.of(parameters, MOTOR_SIDE)

@@ -1,4 +1,4 @@
-"""Text and documents of what was added to a ledger and what it holds."""
+"""Text and documents of fleets: what was added to a ledger, what it holds, what changed."""
 
 from __future__ import annotations
 
@@ -6,13 +6,27 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from asbuilt.findings import Cure, Finding
-from asbuilt.tables import Column, Table, wrapped
+from asbuilt.tables import Column, Table, share, wrapped
+from asbuilt.validation.comparison.significance import probability_text
+from asbuilt.workflow.fleet.drift.drift import FleetDrift
 from asbuilt.workflow.fleet.overview import Overview
 from asbuilt.workflow.fleet.reduction.add import Addition
 from asbuilt.workflow.fleet.reduction.log_task import LogReport
 
 MOST = 10
 """Failed logs, robots and findings shown without `full`."""
+MOST_CHANGED = 12
+"""Robots that changed shown without `full`."""
+CHANGED = (
+    Column("robot", of="id"),
+    Column("logs", align="right", of="n_logs"),
+    Column("changed on", of=lambda each: (each.when or "")[:10]),
+    Column(
+        "p",
+        align="right",
+        of=lambda each: "" if each.p_value is None else probability_text(each.p_value),
+    ),
+)
 
 
 def addition_document(done: Addition) -> dict[str, Any]:
@@ -78,23 +92,20 @@ def overview_text(
     """Return what `asbuilt fleet show` prints."""
     logs = sum(each.n_logs for each in seen.robots)
     lines = [f"{seen.ledger}: {_count(seen.robots, 'robot')}, {logs} logs", ""]
-    thorough = any(each.seconds is not None for each in seen.robots)
-    heads = [Column("robot"), Column("type"), Column("logs"), Column("first"), Column("last")]
-    heads += [Column("recorded", "h", "decimal")] if thorough else []
     names = {each.robot_type: each.model.name for each in seen.types}
-    rows: tuple[tuple[str | float, ...], ...] = tuple(
-        (
-            each.id,
-            names[each.robot_type],
-            each.n_logs,
-            each.first[:10],
-            each.last[:10],
-            *([(each.seconds or 0.0) / 3600.0] if thorough else []),
-        )
-        for each in (seen.robots if full else seen.robots[: 2 * MOST])
-    )
-    if rows:
-        lines.append(Table(tuple(heads), rows).as_text(full).rstrip())
+    heads = [
+        Column("robot", of="id"),
+        Column("type", of=lambda each: names[each.robot_type]),
+        Column("logs", of="n_logs"),
+        Column("first", of=lambda each: each.first[:10]),
+        Column("last", of=lambda each: each.last[:10]),
+    ]
+    if any(each.seconds is not None for each in seen.robots):
+        hours = Column("recorded", "h", "decimal", of=lambda each: (each.seconds or 0.0) / 3600.0)
+        heads.append(hours)
+    if seen.robots:
+        shown = seen.robots if full else seen.robots[: 2 * MOST]
+        lines.append(Table.of(shown, heads).as_text(full).rstrip())
     lines += _left(seen.robots, full, "robots", 2 * MOST)
     for each in seen.types:
         lines += [
@@ -104,6 +115,40 @@ def overview_text(
             wrapped(f"fixed: {each.chosen[0]}"),
         ]
     return "\n".join([*lines, *finding_lines(seen.findings, finding_text, full)]) + "\n"
+
+
+def drift_verdict(drift: FleetDrift) -> str:
+    """Return the outcome in a sentence."""
+    n, tested = len(drift.changed), sum(each.p_value is not None for each in drift.robots)
+    since = "" if drift.since is None else f" since {drift.since[:10]}"
+    return (
+        f"{n} of {tested} robots changed{since} beyond natural variation (false discovery rate"
+        f" {share(drift.false_discovery_rate, 0)})."
+    )
+
+
+def drift_text(
+    drift: FleetDrift, finding_text: Callable[[Finding], str], *, full: bool = False
+) -> str:
+    """Return what `asbuilt fleet drift` prints."""
+    lines = [wrapped(f"{drift.ledger}: {drift_verdict(drift)}")]
+    changed = drift.changed if full else drift.changed[:MOST_CHANGED]
+    if changed:
+        lines += ["", Table.of(changed, CHANGED).as_text(full).rstrip(), ""]
+        lines += [wrapped(f"{each.id}: {said.text}") for each in changed for said in each.what]
+    lines += _left(drift.changed, full, "robots", MOST_CHANGED)
+    for kind in drift.types:
+        if kind.torque:
+            most = max(range(len(kind.torque)), key=lambda k: kind.torque[k])
+            lines += [
+                "",
+                wrapped(
+                    f"{kind.robot_type}: {kind.n_robots} robots, {kind.n_days} days; natural"
+                    f" variation from day to day is at most {kind.torque[most]:.2g}"
+                    f" {kind.torque_units[most]} RMS (joint {most + 1})"
+                ),
+            ]
+    return "\n".join([*lines, *finding_lines(drift.findings, finding_text, full)]) + "\n"
 
 
 def finding_lines(

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import plain
 from asbuilt.findings import joined
 from asbuilt.identification.calibration.added_moments import AddedMoments
 from asbuilt.identification.calibration.payload import Payload
-from asbuilt.tables import (
-    Cell,
-    Column,
-    Shown,
-    Table,
-    percent,
-    plus_minus,
-    rounded,
-    significant,
-    stacked,
-    wrapped,
-)
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.comparison.torque_error_table import torque_error_table
+from asbuilt.tables import Cell, Column, Table, estimated, plus_minus, stacked, wrapped
+from asbuilt.validation.comparison.comparison import paired_torque_table
 from asbuilt.writers.files import path_texts
 
 _SOURCES = {
@@ -59,39 +48,26 @@ def payload_headline(payload: Payload) -> str:
 def payload_table(payload: Payload) -> Table:
     """Return mass, centre of mass and inertia about it, with standard errors."""
     split = bool(np.any(payload.gain_uncertainty > 0.0))
-    parts = (payload.values, payload.std_errors, payload.noise_errors, payload.gain_errors)
-    rows = []
-    for name, unit, value, error, noise, gain in zip(
-        payload.names, UNITS, *(each.tolist() for each in parts), strict=True
-    ):
-        shown, uncertainty = rounded(value, error)
-        rows.append(
-            (
-                name,
-                unit,
-                Shown(value, shown),
-                Shown(error, uncertainty),
-                percent(value, error),
-                *((significant(noise, 2), significant(gain, 2)) if split else ()),
-                "yes" if name in payload.determined else "NO",
-            )
-        )
+    parts = (payload.noise_errors, payload.gain_errors) if split else ()
     columns = (
-        Column("parameter"),
-        Column("unit"),
-        Column("estimate", align="decimal"),
-        Column("std err", align="decimal"),
-        Column("%", align="decimal"),
-        *((Column(f"of {part}", align="decimal") for part in ("noise", "gains")) if split else ()),
-        Column("determined"),
+        Column("parameter", of=lambda k: payload.names[k]),
+        Column("unit", of=lambda k: UNITS[k]),
+        *_estimate_columns(payload.values, payload.std_errors),
+        *(
+            Column(f"of {name}", "", "decimal", 2, of=errors.__getitem__)
+            for name, errors in zip(("noise", "gains"), parts, strict=False)
+        ),
+        Column(
+            "determined", of=lambda k: "yes" if payload.names[k] in payload.determined else "NO"
+        ),
     )
     projected = (
         "The least-squares estimate is physically inconsistent; this is the nearest consistent one,"
         " and inertias at a bound are unreliable."
     )
-    return Table(
+    return Table.of(
+        range(len(payload.names)),
         columns,
-        tuple(rows),
         title=f"{payload.robot}: payload at {payload.frame}, {payload.n_samples} samples",
         notes=(*([projected] if payload.projected else []), *_gain_notes(payload)),
         details=(
@@ -99,6 +75,16 @@ def payload_table(payload: Payload) -> Table:
             " residual correlation.",
         ),
     )
+
+
+def _estimate_columns(values: Array, errors: Array) -> list[Column]:
+    """Return the columns of an estimate, its standard error, and this in percent, by place."""
+
+    def cell(part: int) -> Callable[[int], Cell]:
+        return lambda k: estimated(values[k], errors[k])[part] if np.isfinite(values[k]) else None
+
+    heads = ("estimate", "std err", "%")
+    return [Column(head, align="decimal", of=cell(k)) for k, head in enumerate(heads)]
 
 
 def _gain_notes(payload: Payload) -> tuple[str, ...]:
@@ -151,19 +137,10 @@ def _doubts(payload: Payload) -> tuple[str, ...]:
 
 def payload_torque_table(payload: Payload) -> Table:
     """Return the RMS torque errors with the payload and of the bare arm, a row per joint."""
-    number = [
-        f" [{k + 1}]" if len(payload.metrics) > 1 else "" for k in range(len(payload.metrics))
-    ]
-    named = [
-        (f"{what}{number[k]}", metrics)
-        for k, pair in enumerate(zip(payload.metrics_bare, payload.metrics, strict=True))
-        for what, metrics in zip(("bare arm", "with payload"), pair, strict=True)
-    ]
-    units = [""] * len(payload.metrics[0].joint_names)
-    sources = tuple(recording_name(carried.source) for carried in payload.metrics)
-    if len(sources) == 1:
-        return torque_error_table(named, units, f"RMS torque error on {sources[0]}")
-    return torque_error_table(named, units, "RMS torque error", sources)
+    pairs = tuple(zip(payload.metrics_bare, payload.metrics, strict=True))
+    return paired_torque_table(
+        pairs, ("bare arm", "with payload"), [""] * len(pairs[0][0].joint_names)
+    )
 
 
 def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
@@ -217,32 +194,19 @@ def _symmetric(upper: Array) -> list[list[float]]:
 
 def moments_table(found: AddedMoments) -> Table:
     """Return what a weight adds, with standard errors and what is not determined."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, unit, value, error in zip(
-        found.names, MOMENT_UNITS, found.values.tolist(), found.std_errors.tolist(), strict=True
-    ):
-        well = "yes" if name in found.determined else "NO"
-        if not np.isfinite(value):
-            rows.append((name, unit, None, None, None, well))
-            continue
-        shown, uncertainty = rounded(value, error)
-        cells = Shown(value, shown), Shown(error, uncertainty), percent(value, error)
-        rows.append((name, unit, *cells, well))
     columns = (
-        Column("parameter"),
-        Column("unit"),
-        Column("estimate", align="decimal"),
-        Column("std err", align="decimal"),
-        Column("%", align="decimal"),
-        Column("determined"),
+        Column("parameter", of=lambda k: found.names[k]),
+        Column("unit", of=lambda k: MOMENT_UNITS[k]),
+        *_estimate_columns(found.values, found.std_errors),
+        Column("determined", of=lambda k: "yes" if found.names[k] in found.determined else "NO"),
     )
     lost = [
         {"m": "the mass alone"}.get(name, f"the first moment {name}")
         for name in found.not_determined
     ]
-    return Table(
+    return Table.of(
+        range(len(found.names)),
         columns,
-        tuple(rows),
         title=f"{found.robot}: weight on {found.frame}, {found.n_samples} samples",
         notes=(f"This motion does not determine {joined(lost)}.",) if lost else (),
         details=(f"First moments in the axes of {found.frame}; errors of torque gains scale all.",),
@@ -256,18 +220,9 @@ def moments_document(found: AddedMoments) -> dict[str, Any]:
         "frame": found.frame,
         "n_samples": found.n_samples,
         "moments": [
-            {
-                "name": name,
-                "unit": unit,
-                "estimate": value if np.isfinite(value) else None,
-                "std_error": error if np.isfinite(error) else None,
-            }
+            {"name": name, "unit": unit, "estimate": value, "std_error": error}
             for name, unit, value, error in zip(
-                found.names,
-                MOMENT_UNITS,
-                found.values.tolist(),
-                found.std_errors.tolist(),
-                strict=True,
+                found.names, MOMENT_UNITS, plain(found.values), plain(found.std_errors), strict=True
             )
         ],
         "determined": list(found.determined),

@@ -10,8 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, DriveValues, Joint, RobotModel
+from asbuilt.description.model import ROOT, Joint, Link, RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.findings import joined
@@ -25,17 +24,19 @@ ROUNDING = 1e-12
 
 def robots_table(models: Sequence[RobotModel]) -> Table:
     """List robots: name, joints, total mass, whose facts they are."""
-    rows = tuple(
-        (model.name, model.n_joints, float(model.parameters[9::10].sum()), model.citation)
-        for model in models
-    )
-    columns = (
-        Column("robot"),
-        Column("joints", align="right"),
-        Column("mass", "kg", "decimal", ".2f"),
-        Column("source", width=96),
-    )
-    return Table(columns, rows)
+    return Table.of(models, ROBOTS)
+
+
+def _mass(model: RobotModel) -> float:
+    return float(model.parameters[9::10].sum())
+
+
+ROBOTS = (
+    Column("robot", of="name"),
+    Column("joints", align="right", of="n_joints"),
+    Column("mass", "kg", "decimal", ".2f", of=_mass),
+    Column("source", width=96, of="citation"),
+)
 
 
 def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
@@ -45,7 +46,7 @@ def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
             {
                 "name": model.name,
                 "n_joints": model.n_joints,
-                "mass": float(model.parameters[9::10].sum()),
+                "mass": _mass(model),
                 "citation": model.citation,
             }
             for model in models
@@ -82,103 +83,90 @@ def _kind(joint: Joint) -> str:
 
 def joints_table(model: RobotModel) -> Table:
     """List the joints: parent link, placement of the axis in it, limits and described drives."""
-    rows: list[tuple[Cell, ...]] = []
-    further = any(joint.drive.terms for joint in model.joints)
-    for joint in model.moving_joints:
-        parent = model.root_link if joint.parent == ROOT else model.links[joint.parent].name
-        degrees = 180.0 / math.pi if joint.is_revolute else 1.0
-        limits = joint.limits
-        unit = "deg" if joint.is_revolute else "m"
-        span = (
-            "-"
-            if math.isinf(limits.lower) and math.isinf(limits.upper)
-            else f"{limits.lower * degrees:.6g} .. {limits.upper * degrees:.6g} {unit}"
-        )
-        rows.append(
-            (
-                joint.name,
-                _kind(joint),
-                parent,
-                _vector(joint.before[:3, 3]),
-                _vector(joint.before[:3, 2]),
-                span,
-                limits.velocity,
-                limits.torque,
-                joint.drive.armature,
-                joint.drive.viscous,
-                joint.drive.coulomb,
-                *([_further_terms(joint.drive)] if further else []),
-            )
-        )
-    columns = (
-        Column("joint"),
-        Column("kind"),
-        Column("on link", width=16),
-        Column("axis at", "m", detail=True),
-        Column("axis along", detail=True),
-        Column("range", width=20),
-        Column("velocity", "1/s", "decimal", ".4g"),
-        Column("torque", "N m", "decimal", ".4g"),
-        Column("Ia", "", "decimal", ".4g", detail=True),
-        Column("Fv", "", "decimal", ".4g", detail=True),
-        Column("Fc", "", "decimal", ".4g", detail=True),
-        *([Column("further drive terms", detail=True)] if further else []),
-    )
-    return Table(columns, tuple(rows), title="Joints")
+    columns = [
+        Column("joint", of="name"),
+        Column("kind", of=_kind),
+        Column("on link", width=16, of=lambda joint: _link_name(model, joint.parent)),
+        Column("axis at", "m", detail=True, of=lambda joint: _vector(joint.before[:3, 3])),
+        Column("axis along", detail=True, of=lambda joint: _vector(joint.before[:3, 2])),
+        Column("range", width=20, of=_range),
+        Column("velocity", "1/s", "decimal", ".4g", of="limits.velocity"),
+        Column("torque", "N m", "decimal", ".4g", of="limits.torque"),
+        Column("Ia", "", "decimal", ".4g", detail=True, of="drive.armature"),
+        Column("Fv", "", "decimal", ".4g", detail=True, of="drive.viscous"),
+        Column("Fc", "", "decimal", ".4g", detail=True, of="drive.coulomb"),
+    ]
+    if any(joint.drive.terms for joint in model.joints):
+        columns.append(Column("further drive terms", detail=True, of=_further_terms))
+    return Table.of(model.moving_joints, columns, "Joints")
 
 
-def _further_terms(drive: DriveValues) -> str:
+def _link_name(model: RobotModel, index: int) -> str:
+    return model.root_link if index == ROOT else model.links[index].name
+
+
+def _range(joint: Joint) -> str:
+    limits = joint.limits
+    if math.isinf(limits.lower) and math.isinf(limits.upper):
+        return "-"
+    factor, unit = (180.0 / math.pi, "deg") if joint.is_revolute else (1.0, "m")
+    return f"{limits.lower * factor:.6g} .. {limits.upper * factor:.6g} {unit}"
+
+
+def _further_terms(joint: Joint) -> str:
     """Return further drive terms with all parameters, such as `stribeck Fs 0.3 velocity 0.05`."""
     return "; ".join(
         " ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())])
-        for key, numbers in drive.terms.items()
+        for key, numbers in joint.drive.terms.items()
     )
 
 
 def links_table(model: RobotModel) -> Table:
     """List the links: mass, centre of mass, inertia about it in link axes, and consistency."""
-    rows: list[tuple[Cell, ...]] = []
-    for link in model.links:
-        inertia = link.inertia
-        if not link.inertia_known:
-            rows.append((link.name, None, "-", "-", "-", "not given"))
-            continue
-        reason = inertia.inconsistency()
-        about_com = inertia.inertia_about_com if inertia.mass > 0 else np.zeros((3, 3))
-        com = _vector(inertia.com) if inertia.mass > 0 else "-"
-        products = _vector(
-            _rounded(
-                [about_com[0, 1], about_com[0, 2], about_com[1, 2]], float(np.abs(about_com).max())
-            )
-        )
-        rows.append(
-            (
-                link.name,
-                inertia.mass,
-                com,
-                _vector(np.diag(about_com)),
-                products,
-                _verdict(inertia, about_com, reason),
-            )
-        )
-    columns = (
-        Column("link"),
-        Column("mass", "kg", "decimal", ".6g"),
-        Column("centre of mass", "m"),
-        Column("Ixx Iyy Izz about it", "kg m^2"),
-        Column("Ixy Ixz Iyz", "kg m^2", detail=True),
-        Column("consistency"),
-    )
-    return Table(columns, tuple(rows), title="Links")
+    return Table.of(model.links, LINKS, "Links")
 
 
-def _verdict(inertia: LinkInertia, about_com: Array, reason: str | None) -> str:
+def _about_com(link: Link) -> Array:
+    """Return the inertia about the centre of mass, zero without a mass."""
+    return link.inertia.inertia_about_com if link.inertia.mass > 0 else np.zeros((3, 3))
+
+
+def _centre(link: Link) -> str:
+    return _vector(link.inertia.com) if link.inertia_known and link.inertia.mass > 0 else "-"
+
+
+def _moments(link: Link) -> str:
+    return _vector(np.diag(_about_com(link))) if link.inertia_known else "-"
+
+
+def _products(link: Link) -> str:
+    about = _about_com(link)
+    entries = _rounded(about[np.triu_indices(3, 1)], float(np.abs(about).max()))
+    return _vector(entries) if link.inertia_known else "-"
+
+
+def _consistency(link: Link) -> str:
     """Return whether a body has these mass properties, and whether they are there at all."""
+    if not link.inertia_known:
+        return "not given"
+    reason = link.inertia.inconsistency()
     if reason is not None:
         return f"INCONSISTENT: {reason}"
-    if not inertia.parameters.any():
+    if not link.inertia.parameters.any():
         return "ALL ZERO: no mass properties"
-    return "OK" if np.any(about_com) else "ZERO INERTIA: a point mass"
+    return "OK" if np.any(_about_com(link)) else "ZERO INERTIA: a point mass"
+
+
+LINKS = (
+    Column("link", of="name"),
+    Column(
+        "mass", "kg", "decimal", of=lambda link: link.inertia.mass if link.inertia_known else None
+    ),
+    Column("centre of mass", "m", of=_centre),
+    Column("Ixx Iyy Izz about it", "kg m^2", of=_moments),
+    Column("Ixy Ixz Iyz", "kg m^2", detail=True, of=_products),
+    Column("consistency", of=_consistency),
+)
 
 
 def robot_text(model: RobotModel, full: bool = False) -> str:
@@ -191,11 +179,7 @@ def robot_text(model: RobotModel, full: bool = False) -> str:
         head.append(f"source: {model.citation}")
     if model.source:
         head.append(f"read from: {model.source}")
-    merged = [
-        f"{frame.name} (on"
-        f" {model.root_link if frame.link == ROOT else model.links[frame.link].name})"
-        for frame in model.frames
-    ]
+    merged = [f"{frame.name} (on {_link_name(model, frame.link)})" for frame in model.frames]
     if merged:
         head.append(f"fixed frames: {', '.join(merged)}")
     lines = [wrapped(line) for line in (*head, *(f"note: {note}" for note in model.notes))]
@@ -205,7 +189,7 @@ def robot_text(model: RobotModel, full: bool = False) -> str:
 
 def robot_headline(model: RobotModel) -> str:
     """Return what a user decides by: whether the description can be simulated and compared with."""
-    mass = f"{model.parameters[9::10].sum():.4g}"
+    mass = f"{_mass(model):.4g}"
     size = f"{model.name}: {model.n_joints} joints, {mass} kg moving"
     unknown = [link.name for link in model.links if not link.inertia_known]
     reasons = {
@@ -224,22 +208,16 @@ def robot_headline(model: RobotModel) -> str:
 
 def base_table(base: BaseParameters, model: RobotModel) -> Table:
     """List the base parameters: id, expression with symbolic lengths, value by design."""
-    values = base.values(parameter_values(model, base.drive))
-    rows = tuple(
-        (int(number), symbolic, unit, None if np.isnan(value) else float(value))
-        for number, symbolic, unit, value in zip(
-            base.ids, base.symbolic, base.units, values, strict=True
-        )
-    )
+    values, n = base.values(parameter_values(model, base.drive)), base.n_base
     columns = (
-        Column("id", align="right"),
-        Column("base parameter", width=54),
-        Column("unit"),
-        Column("value", align="decimal", style=".6g"),
+        Column("id", align="right", of=lambda k: int(base.ids[k])),
+        Column("base parameter", width=54, of=lambda k: base.symbolic[k]),
+        Column("unit", of=lambda k: base.units[k]),
+        Column("value", align="decimal", of=lambda k: float(values[k])),
     )
-    title = f"{base.robot}: {base.n_base} base parameters of {base.n_standard} standard parameters"
-    important = None if len(rows) <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS))
-    return Table(columns, rows, title=title, important=important)
+    title = f"{base.robot}: {n} base parameters of {base.n_standard} standard parameters"
+    important = None if n <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS))
+    return Table.of(range(n), columns, title, important=important)
 
 
 def identifiability_table(base: BaseParameters) -> Table:
@@ -265,24 +243,16 @@ def identifiability_table(base: BaseParameters) -> Table:
 
 def standard_table(base: BaseParameters) -> Table:
     """List the standard parameters: identifiable, in which base parameters, and why."""
-    rows = tuple(
-        (
-            parameter.id,
-            parameter.name,
-            parameter.status,
-            " ".join(str(member) for member in parameter.members) or "-",
-            parameter.why,
-        )
-        for parameter in base.standard
-    )
-    columns = (
-        Column("id", align="right"),
-        Column("parameter"),
-        Column("status"),
-        Column("in base ids"),
-        Column("why"),
-    )
-    return Table(columns, rows, title="Standard parameters")
+    return Table.of(base.standard, STANDARD, "Standard parameters")
+
+
+STANDARD = (
+    Column("id", align="right", of="id"),
+    Column("parameter", of="name"),
+    Column("status", of="status"),
+    Column("in base ids", of=lambda each: " ".join(map(str, each.members)) or "-"),
+    Column("why", of="why"),
+)
 
 
 def _rounded(values: Iterable[float], size: float) -> list[float]:

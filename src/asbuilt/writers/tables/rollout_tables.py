@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.description.model import RobotModel
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Shown, Table, significant, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors
@@ -43,15 +43,9 @@ def rollout_text(
     said = (
         []
         if cure_text is None
-        else [wrapped(_advised(each, cure_text)) for each in rollout_findings(rollouts)]
+        else [wrapped(each.advised(cure_text)) for each in rollout_findings(rollouts)]
     )
     return "\n" + "\n".join([*(part.as_text(full) for part in parts), *said])
-
-
-def _advised(finding: Finding, cure_text: Callable[[Cure], str]) -> str:
-    """Return a finding with its cure in the words of `cure_text`, as sentences."""
-    advice = cure_text(finding.cure) if finding.cure else ""
-    return f"{finding.message}." + (f" {advice[:1].upper()}{advice[1:]}." if advice else "")
 
 
 def refined_text(refined: Refined) -> str:
@@ -70,87 +64,55 @@ def refined_text(refined: Refined) -> str:
 def rollout_table(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
     """Return one row of errors per horizon."""
     unit = position_unit(model)
-    rows: list[tuple[Cell, ...]] = []
-    for each in rollouts:
-        shown = each.as_built or each.cad
-        rows.append(
-            (
-                each.horizon,
-                each.n_windows,
-                *(
-                    _shown(errors)
-                    for errors in (each.cad, each.as_built, each.no_physics, each.floor)
-                ),
-                _tool(each.cad),
-                _tool(each.as_built),
-                "-" if shown is None else _worst(model, shown),
-            )
-        )
     columns = (
-        Column("horizon", "s", "decimal", ".3g"),
-        Column("windows", align="right"),
-        Column("CAD", unit, "decimal"),
-        Column("as built", unit, "decimal"),
-        Column("command", unit, "decimal"),
-        Column("repeat", unit, "decimal"),
-        Column("tool, CAD", "mm", "decimal"),
-        Column("tool, as built", "mm", "decimal"),
-        Column("worst joint", width=16),
+        Column("horizon", "s", "decimal", ".3g", of="horizon"),
+        Column("windows", align="right", of="n_windows"),
+        Column("CAD", unit, "decimal", of=lambda each: _shown(each.cad)),
+        Column("as built", unit, "decimal", of=lambda each: _shown(each.as_built)),
+        Column("command", unit, "decimal", of=lambda each: _shown(each.no_physics)),
+        Column("repeat", unit, "decimal", of=lambda each: _shown(each.floor)),
+        Column("tool, CAD", "mm", "decimal", of=lambda each: _tool(each.cad)),
+        Column("tool, as built", "mm", "decimal", of=lambda each: _tool(each.as_built)),
+        Column("worst joint", width=16, of=lambda each: _worst(model, each.as_built or each.cad)),
     )
-    return _filled(columns, rows, TITLE.format(rollouts[0].driven_by))
+    return Table.of(rollouts, columns, TITLE.format(rollouts[0].driven_by)).filled()
 
 
 def joint_table(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every joint for one horizon."""
-    names = ("CAD", "as built", "command", "repeat")
-    errors = (rollout.cad, rollout.as_built, rollout.no_physics, rollout.floor)
-    rows: list[tuple[Cell, ...]] = []
-    for k, name in enumerate(model.joint_names):
-        values = [None if each is None else float(each.rms[k]) for each in errors]
-        ends = [None if each is None else float(each.final[k]) for each in errors[:2]]
-        rows.append((name, *(_milli(x) for x in values), *(_milli(x) for x in ends)))
-    unit = position_unit(model)
-    columns = (
-        Column("joint", width=20),
-        *(Column(name, unit, "decimal") for name in names),
-        Column("end, CAD", unit, "decimal"),
-        Column("end, as built", unit, "decimal"),
+    unit, cad, built = position_unit(model), rollout.cad, rollout.as_built
+    errors = {"CAD": cad, "as built": built, "command": rollout.no_physics, "repeat": rollout.floor}
+    ends = {"end, CAD": cad, "end, as built": built}
+    values = {
+        **{name: None if each is None else each.rms for name, each in errors.items()},
+        **{name: None if each is None else each.final for name, each in ends.items()},
+    }
+    rows = tuple(
+        (name, *(None if each is None else _milli(float(each[k])) for each in values.values()))
+        for k, name in enumerate(model.joint_names)
     )
-    return _filled(columns, rows, f"Rollouts of {rollout.horizon:g} s by joint")
+    columns = (Column("joint", width=20), *(Column(name, unit, "decimal") for name in values))
+    return Table(columns, rows, f"Rollouts of {rollout.horizon:g} s by joint").filled()
 
 
 def motion_table(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every recording for one horizon."""
-    unit = position_unit(model)
+    unit, runs = position_unit(model), rollout.by_recording
+    heads = ("CAD", "as built", "command", "without outlying")
     columns = (
         Column("recording", width=24),
         Column("windows", align="right"),
-        Column("CAD", unit, "decimal"),
-        Column("as built", unit, "decimal"),
-        Column("command", unit, "decimal"),
-        Column("without outlying", unit, "decimal"),
+        *(Column(name, unit, "decimal") for name in heads),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            recording_name(each.source),
-            each.n_windows,
-            *(_shown(errors) for errors in each.errors().values()),
-        )
-        for each in rollout.by_recording
-    ]
-    means = mean_errors(rollout.by_recording)
-    rows.append(("mean of recordings", rollout.n_windows, *map(_milli, means.values())))
-    return _filled(columns, rows, f"Rollouts of {rollout.horizon:g} s by recording")
-
-
-def _filled(columns: Sequence[Column], rows: Sequence[tuple[Cell, ...]], title: str) -> Table:
-    """Return a table without the columns that no row fills."""
-    kept = [k for k in range(len(columns)) if any(row[k] is not None for row in rows)]
-    return Table(
-        tuple(columns[k] for k in kept),
-        tuple(tuple(row[k] for k in kept) for row in rows),
-        title=title,
+    means = map(_milli, mean_errors(runs).values())
+    rows = (
+        *(
+            (recording_name(each.source), each.n_windows, *map(_shown, each.errors().values()))
+            for each in runs
+        ),
+        ("mean of recordings", rollout.n_windows, *means),
     )
+    return Table(columns, rows, f"Rollouts of {rollout.horizon:g} s by recording").filled()
 
 
 def position_unit(model: RobotModel) -> str:
@@ -180,6 +142,6 @@ def _milli(value: float | None) -> Cell:
     return Shown(1e3 * value, significant(1e3 * value))
 
 
-def _worst(model: RobotModel, errors: RolloutErrors) -> str:
-    rms = errors.rms_until
+def _worst(model: RobotModel, errors: RolloutErrors | None) -> str:
+    rms = np.array(np.nan) if errors is None else errors.rms_until
     return model.joint_names[int(np.argmax(rms))] if np.all(np.isfinite(rms)) else "-"

@@ -18,7 +18,7 @@ from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import Cell, Column, Shown, Table, share, significant
+from asbuilt.tables import Column, Table, share
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation, torque_units
@@ -26,7 +26,7 @@ from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.workflow.information_efficiency import RecordedInformation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.tables.mass_table import exported_masses
+from asbuilt.writers.tables.mass_tables import exported_masses
 
 MOST_FINDINGS = 12
 """Findings in a document of `identify`, the weightiest; summary.txt and result.json have all."""
@@ -137,21 +137,14 @@ def described_document(model: RobotModel, errors: Sequence[TorqueMetrics]) -> di
 
 def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -> Table:
     """Return the RMS torque error of each joint of a robot as described, for each recording."""
-    heads = [Column("recording", width=40)]
-    heads += [
-        Column(name, unit, "decimal", width=16)
-        for name, unit in zip(model.joint_names, torque_units(model), strict=True)
-    ]
-    heads.append(Column("relative error", align="decimal"))
-    rows: list[tuple[Cell, ...]] = [
-        (
-            recording_name(metrics.source),
-            *(Shown(float(value), significant(float(value))) for value in metrics.rms),
-            Shown(metrics.relative_error, share(metrics.relative_error)),
-        )
-        for metrics in errors
-    ]
-    return Table(tuple(heads), tuple(rows), title=f"RMS torque error of {model.name} as described")
+    joints = zip(model.joint_names, torque_units(model), strict=True)
+    columns = (
+        Column("recording", width=40),
+        *(Column(name, unit, "decimal", 3, width=16) for name, unit in joints),
+        Column("relative error", "", "decimal", share),
+    )
+    rows = ((recording_name(e.source), *e.rms.tolist(), e.relative_error) for e in errors)
+    return Table(columns, tuple(rows), f"RMS torque error of {model.name} as described")
 
 
 def check_document(
@@ -185,55 +178,34 @@ def write_json(path: str | os.PathLike[str], document: Any) -> Path:
     return atomic_write(path, json_text(document))
 
 
+IDENTIFIED = (
+    *(
+        Column(name, of=name)
+        for name in ("id", "name", "expression", "symbolic", "unit", "cad", "estimate", "std_error")
+    ),
+    Column("determined", of=lambda each: "yes" if each.determined else "no"),
+    Column("dropped", of=lambda each: "yes" if each.dropped else "no"),
+)
+
+
 def identified_table(result: IdentificationResult) -> Table:
-    """Return every base parameter of a result in full precision."""
-    heads = tuple(
-        Column(name)
-        for name in (
-            "id",
-            "name",
-            "expression",
-            "symbolic",
-            "unit",
-            "cad",
-            "estimate",
-            "std_error",
-            "determined",
-            "dropped",
-        )
-    )
-    return Table(
-        heads,
-        tuple(
-            (
-                *(p.id, p.name, p.expression, p.symbolic, p.unit, p.cad, p.estimate, p.std_error),
-                "yes" if p.determined else "no",
-                "yes" if p.dropped else "no",
-            )
-            for p in result.parameters
-        ),
-    )
-
-
-def write_parameters_csv(path: str | os.PathLike[str], result: IdentificationResult) -> Path:
-    """Write the base parameters of a result as CSV.
-
-    Id, name, expression, symbolic, unit, cad, estimate, std_error, determined, dropped; a dropped
-    one has no std_error.
-    """
-    return atomic_write(path, identified_table(result).as_csv())
+    """Return every base parameter of a result in full precision; a dropped one has no std_error."""
+    return Table.of(result.parameters, IDENTIFIED)
 
 
 def prediction_table(validation: Validation) -> Table:
     """Return t and, joint by joint, measured torque and its predictions as built and by design."""
-    heads = [Column("t", "s")]
-    values = [validation.t]
-    for k, (name, unit) in enumerate(zip(validation.joint_names, validation.units, strict=True)):
-        for what, torque in (
-            ("measured", validation.measured),
-            ("as_built", validation.predicted),
-            ("cad", validation.predicted_cad),
-        ):
-            heads.append(Column(f"{name}_{what}", unit))
-            values.append(torque[:, k])
-    return Table(tuple(heads), tuple(tuple(row) for row in np.column_stack(values).tolist()))
+    torques = {
+        "measured": validation.measured,
+        "as_built": validation.predicted,
+        "cad": validation.predicted_cad,
+    }
+    heads = [
+        Column(f"{name}_{what}", unit)
+        for name, unit in zip(validation.joint_names, validation.units, strict=True)
+        for what in torques
+    ]
+    # Joint by joint: measured, as built, CAD.
+    values = np.stack([*torques.values()], axis=2).reshape(len(validation.t), -1)
+    rows = np.column_stack([validation.t, values]).tolist()
+    return Table((Column("t", "s"), *heads), tuple(map(tuple, rows)))

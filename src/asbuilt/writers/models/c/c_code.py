@@ -23,10 +23,8 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 from asbuilt.monitoring.balance import armature_matrix
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.c.c_drives import drive_entries
-from asbuilt.writers.models.c.c_dynamics import Mechanism
+from asbuilt.writers.models.c.c_dynamics import Mechanism, drive_entries, with_drives
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
-from asbuilt.writers.models.c.c_momentum import mass_matrix_terms, momentum_terms
 from asbuilt.writers.models.c.c_observer import ObserverCode
 from asbuilt.writers.models.sample_states import sample_states
 
@@ -86,10 +84,7 @@ def c_code(
     n = model.n_joints
     forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
     chi = _fewest_parameters(model)
-    torques = forward.torques(chi)
-    for entry, value in zip(drive_entries(forward, terms, chi), values, strict=True):
-        for j, column in entry.items():
-            torques[j] = forward.code.total((torques[j],), (Term(float(value)), column))
+    torques = with_drives(forward, forward.torques(chi), terms, values, chi)
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     functions = [
         _function(
@@ -165,12 +160,9 @@ def _controller_functions(
     still, moving = Mechanism(model, at_rest=True), Mechanism(model, steady=True)
     weightless = Mechanism(replace(model, gravity=np.zeros(3)), steady=True)
     rubbing = Mechanism(model, steady=True)
-    friction = [ZERO] * n
-    for entry, value in zip(drive_entries(rubbing, terms, chi), values, strict=True):
-        for j, column in entry.items():
-            friction[j] = rubbing.code.total((friction[j],), (Term(float(value)), column))
-    p, gradient = momentum_terms(moving, chi, armature)
-    masses = mass_matrix_terms(still, chi, armature)
+    friction = with_drives(rubbing, [ZERO] * n, terms, values, chi)
+    p, gradient = moving.momentum(chi, armature)
+    masses = still.mass_matrix(chi, armature)
     q, qd = f"const double q[{n}]", f"const double qd[{n}]"
     return [
         _function(

@@ -1,13 +1,16 @@
-"""Newton-Euler equations of one robot as straight-line arithmetic, its numbers folded in."""
+"""Newton-Euler equations, momentum and drives of one robot as straight-line arithmetic in C."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, Joint, RobotModel
+from asbuilt.dynamics.drives.formula import Formula
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term, Vector
 
 Matrix = tuple[Vector, Vector, Vector]
@@ -25,7 +28,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Screw:
-    """Hold angular velocity `z` and velocity `m` of a frame, in its axes, for a unit joint rate."""
+    """Hold angular velocity `z` and velocity `m` of the origin of a frame, in its axes."""
 
     z: Vector
     m: Vector
@@ -105,21 +108,82 @@ class Mechanism:
 
     def torques(self, parameters: Array) -> list[Term]:
         """Return the torque of each joint for inertial parameters of shape (10 n_links,)."""
-        n, parameters = self.tree.n_joints, self.of_tree(parameters)
-        carried: list[list[Wrench]] = [[] for _ in range(n)]
-        torques = [ZERO] * n
-        for j in reversed(range(n)):
-            own = self._inertial(self.motions[j], parameters[10 * j : 10 * j + 10])
-            whole = Wrench(
-                self._added(own.force, *(w.force for w in carried[j])),
-                self._added(own.moment, *(w.moment for w in carried[j])),
+        chi = self.of_tree(parameters).reshape(-1, 10)
+        carried = self._carried(lambda j: self._inertial(self.motions[j], chi[j]))
+        return self.of_joints(self._along(carried))
+
+    def momentum(self, parameters: Array, armature: Array) -> tuple[list[Term], list[Term]]:
+        """Return `p = (M + A) qd` and `C^T qd` of each joint for inertial parameters (10 n,).
+
+        With the twist V of a joint frame, the momentum H of what the joint carries and its axis S,
+        `p = S . H` and `C^T qd = dT/dq = -H . (S x V)`.
+        """
+        twists, carried = self._momenta(parameters, self.qd)
+        total = self.code.total
+        rotors = [
+            [(Term(float(a)), rate) for a, rate in zip(row, self.qd, strict=True) if a]
+            for row in armature
+        ]
+        gradient = []
+        for joint, v, h in zip(self.tree.joints, twists, carried, strict=True):
+            turning = [(h.moment, v.z), (h.force, v.m)]
+            pairs = turning if joint.is_revolute else [(h.force, v.z)]
+            gradient.append(
+                total(*((a[0], b[1]) for a, b in pairs), *((-a[1], b[0]) for a, b in pairs))
             )
-            joint = self.tree.joints[j]
-            at_joint = self._out(joint.after, whole)
-            torques[j] = at_joint.moment[2] if joint.is_revolute else at_joint.force[2]
+        momenta = self.of_joints(self._along(carried))
+        whole = [total((p,), *extra) for p, extra in zip(momenta, rotors, strict=True)]
+        return whole, self.of_joints(gradient)
+
+    def mass_matrix(self, parameters: Array, armature: Array) -> dict[tuple[int, int], Term]:
+        """Return the entries (joint, joint) of `M + A`: column k is the momentum of unit rate k."""
+        n = self.model.n_joints
+        entries: dict[tuple[int, int], Term] = {}
+        for k in range(n):
+            _, carried = self._momenta(parameters, [ONE if j == k else ZERO for j in range(n)])
+            momenta = self.of_joints(self._along(carried))
+            for j in range(k, n):
+                total = self.code.sum(momenta[j], Term(float(armature[j, k])))
+                entries[j, k] = entries[k, j] = total
+        return entries
+
+    def _momenta(self, parameters: Array, rates: list[Term]) -> tuple[list[Screw], list[Wrench]]:
+        """Return for joint rates the twist of each joint frame, and the momentum it carries."""
+        at_joint: list[Screw] = []
+        of_link: list[Screw] = []
+        for j, (joint, rate) in enumerate(zip(self.tree.joints, self.of_links(rates), strict=True)):
+            above = Screw(NOTHING, NOTHING) if joint.parent == ROOT else of_link[joint.parent]
+            own: Vector = (ZERO, ZERO, rate)
+            twist = self._over(j, self._through(joint.before, above))
+            at_joint.append(
+                Screw(self._added(twist.z, own), twist.m)
+                if joint.is_revolute
+                else Screw(twist.z, self._added(twist.m, own))
+            )
+            of_link.append(self._through(joint.after, at_joint[j]))
+        chi = self.of_tree(parameters).reshape(-1, 10)
+        return at_joint, self._carried(lambda j: self._momentum(of_link[j], chi[j]))
+
+    def _carried(self, own: Callable[[int], Wrench]) -> list[Wrench]:
+        """Return the wrench that each joint carries, in its axes, from those of the links."""
+        n = self.tree.n_joints
+        above: list[list[Wrench]] = [[] for _ in range(n)]
+        found = [Wrench(NOTHING, NOTHING)] * n
+        for j in reversed(range(n)):
+            joint, parts = self.tree.joints[j], [own(j), *above[j]]
+            force = self._added(*(each.force for each in parts))
+            moment = self._added(*(each.moment for each in parts))
+            found[j] = self._out(joint.after, Wrench(force, moment))
             if joint.parent != ROOT:
-                carried[joint.parent].append(self._out(joint.before, self._unturned(j, at_joint)))
-        return self.of_joints(torques)
+                above[joint.parent].append(self._out(joint.before, self._unturned(j, found[j])))
+        return found
+
+    def _along(self, wrenches: list[Wrench]) -> list[Term]:
+        """Return the part of each joint's wrench along its axis."""
+        return [
+            wrench.moment[2] if joint.is_revolute else wrench.force[2]
+            for joint, wrench in zip(self.tree.joints, wrenches, strict=True)
+        ]
 
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
         """Return the nonzero entries (joint, position in `columns`) of the regressor."""
@@ -223,6 +287,18 @@ class Mechanism:
         )
         return Wrench((fx, fy, fz), moment)
 
+    def _momentum(self, twist: Screw, parameters: Array) -> Wrench:
+        """Return force `m v + w x h` and moment `I w + h x v` of a link."""
+        xx, xy, xz, yy, yz, zz, *h, m = _numbers(parameters)
+        first: Vector = (h[0], h[1], h[2])
+        turned, swung = self._cross(twist.z, first), self._cross(first, twist.m)
+        rows, total = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), self.code.total
+        fx, fy, fz = (total((m, v), (t,)) for v, t in zip(twist.m, turned, strict=True))
+        nx, ny, nz = (
+            total(*zip(row, twist.z, strict=True), (s,)) for row, s in zip(rows, swung, strict=True)
+        )
+        return Wrench((fx, fy, fz), (nx, ny, nz))
+
     def _screws(self) -> list[dict[int, Screw]]:
         """Return for each link the screws of the joints that move it."""
         screws: list[dict[int, Screw]] = []
@@ -287,3 +363,86 @@ def _vector(values: Array) -> Vector:
 def _matrix(values: Array) -> Matrix:
     x, y, z = (_vector(row) for row in values)
     return x, y, z
+
+
+FUNCTIONS = {
+    "divide": "{0}/({1})",
+    "power": "pow({0}, {1})",
+    "minimum": "fmin({0}, {1})",
+    "maximum": "fmax({0}, {1})",
+    "abs": "fabs({0})",
+    "sign": "(double)(({0} > 0.0) - ({0} < 0.0))",
+    **{name: f"{name}({{0}})" for name in ("exp", "log", "sqrt", "sin", "cos", "tanh", "atan")},
+}
+"""Operations of formulas that are not sums or products."""
+
+
+def written(code: StraightLine, formula: str, values: Mapping[str, Term]) -> Term:
+    """Return a formula of a drive term as C, each name replaced by its value."""
+
+    def apply(operation: str, *operands: Term) -> Term:
+        match operation:
+            case "add":
+                return code.sum(*operands)
+            case "subtract":
+                return code.sum(operands[0], -operands[1])
+            case "negative":
+                return -operands[0]
+            case "multiply":
+                return code.total(operands)
+        text = FUNCTIONS[operation].format(*(operand.written() for operand in operands))
+        return code.given(text, *(operand.name for operand in operands))
+
+    return Formula(formula).fold(Term, values.__getitem__, apply)
+
+
+def drive_entries(
+    mechanism: Mechanism, drive: DriveSet, parameters: Array
+) -> list[dict[int, Term]]:
+    """Return for each drive parameter, joint by joint, its column at each joint that it acts on.
+
+    Motors that several joints turn act on all of these. `parameters` (10 n,) of the links give the
+    load of terms that depend on it.
+    """
+    code, shares = mechanism.code, mechanism.model.motor_shares
+    loads = mechanism.torques(parameters) if drive.needs_load else [ZERO] * mechanism.model.n_joints
+    entries: list[dict[int, Term]] = []
+    for k, load in enumerate(loads):
+        for term in drive.at(k).terms:
+            acts_on = shares[k] if term.of_motor else np.eye(len(loads))[k]
+            if not term.is_at(k) or not acts_on.any():
+                entries += [{} for _ in term.symbols]
+                continue
+            state = {"q": mechanism.q, "qd": mechanism.qd, "qdd": mechanism.qdd}
+            values = {
+                array: code.sum(
+                    *[
+                        Term(float(share) * term.factor, term.name)
+                        for share, term in zip(acts_on, terms, strict=True)
+                    ]
+                )
+                for array, terms in state.items()
+            }
+            values |= {
+                name: Term(term.value(name)) for name in (each.name for each in term.nonlinear)
+            }
+            columns = [written(code, column, {**values, "load": load}) for column in term.columns]
+            entries += [
+                {
+                    int(j): code.total((Term(float(acts_on[j])), column))
+                    for j in np.flatnonzero(acts_on)
+                }
+                for column in columns
+            ]
+    return entries
+
+
+def with_drives(
+    mechanism: Mechanism, torques: list[Term], drive: DriveSet, values: Array, parameters: Array
+) -> list[Term]:
+    """Return joint torques with those of drive terms of these values added."""
+    found = list(torques)
+    for entry, value in zip(drive_entries(mechanism, drive, parameters), values, strict=True):
+        for j, column in entry.items():
+            found[j] = mechanism.code.total((found[j],), (Term(float(value)), column))
+    return found

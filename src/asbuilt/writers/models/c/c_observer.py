@@ -25,7 +25,6 @@ def observer_code(
     name: str,
     n: int,
     *,
-    bandwidth: float = BANDWIDTH,
     thresholds: Thresholds | None = None,
     factor: Array | None = None,
 ) -> ObserverCode:
@@ -37,12 +36,10 @@ def observer_code(
         Prefix of the functions of the robot.
     n
         Number of joints.
-    bandwidth
-        Bandwidth of the observer [Hz]; that of the thresholds if there are any.
     thresholds, factor
         Limits of the residual, and L (p, k) with `L L^T` the covariance of the base parameters.
     """
-    width = bandwidth if thresholds is None else thresholds.bandwidth
+    width = BANDWIDTH if thresholds is None else thresholds.bandwidth
     limits = thresholds is not None
     state = f"const double q[{n}], const double qd[{n}]"
     slow = f"    double slowness[{n}];     /* lagged nearness to standstill, 0 to 1 */\n"

@@ -14,8 +14,7 @@ from asbuilt.description.model import Joint, RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.registry import Registry
-from asbuilt.writers.models.physical import in_plain_friction, left_out_drives
-from asbuilt.writers.models.servo_notes import servo_left_out
+from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, servo_left_out
 
 
 @dataclass(frozen=True, eq=False)

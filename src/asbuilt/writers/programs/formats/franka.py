@@ -6,10 +6,22 @@ import numpy as np
 
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
-from asbuilt.writers.programs.program_text import commented, numbers, preamble, render, sheet_text
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
+from asbuilt.writers.programs.program_text import (
+    STREAMED_DECIMALS,
+    commented,
+    numbers,
+    preamble,
+    render,
+    sheet_text,
+    streamed_motion,
+)
 
 CONTROL_RATE = 1000.0
 """Rate at which the robot takes positions and checks them for jumps [Hz]."""
@@ -55,7 +67,7 @@ class FrankaFormat(ProgramFormat):
                 f" {stem}_log.csv"
             ),
         )
-        start = numbers(request.motion.start, DECIMALS)
+        start = numbers(request.motion.start, STREAMED_DECIMALS)
         source = render(
             "franka.cpp.j2",
             preamble=commented(preamble(request, self.title, use), "//"),
@@ -98,7 +110,7 @@ class FrankaFormat(ProgramFormat):
         )
         return (
             ProgramFile("program", source_name, source),
-            ProgramFile("motion", table, motion_table(request.motion, request.rate)),
+            ProgramFile("motion", table, streamed_motion(request)),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )
 

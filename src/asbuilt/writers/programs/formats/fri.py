@@ -5,19 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
 from asbuilt.writers.programs.formats.sunrise import PACKAGE, SIGN_NOTE
 from asbuilt.writers.programs.naming import class_name
 from asbuilt.writers.programs.program_text import (
+    STREAMED_DECIMALS,
     commented,
     numbers,
     preamble,
     render,
     rounded_down,
     sheet_text,
+    streamed_motion,
 )
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 SPEED_ALLOWANCE = 1.05
 """A command may be faster than the motion by this factor ..."""
@@ -76,7 +82,7 @@ class FriFormat(ProgramFormat):
             else APPROACH_PART
         )
         values = {
-            "start": numbers(request.motion.start, DECIMALS),
+            "start": numbers(request.motion.start, STREAMED_DECIMALS),
             "tolerance": f"{request.start_tolerance.min():g}",
         }
         table_class = render(
@@ -126,7 +132,7 @@ class FriFormat(ProgramFormat):
         )
         return (
             ProgramFile("program", client, source),
-            ProgramFile("motion", table, motion_table(request.motion, request.rate)),
+            ProgramFile("motion", table, streamed_motion(request)),
             ProgramFile("application", f"{java}.java", application),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
-import numpy as np
-
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
-from asbuilt.writers.programs.program_text import GAINS_TO_FILL_IN, preamble, sheet_text
-from asbuilt.writers.programs.request import ProgramRequest
+from asbuilt.excitation.motions.motion_csv import PREFIXES
+from asbuilt.writers.programs.format import (
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
+from asbuilt.writers.programs.program_text import GAINS_TO_FILL_IN, motion_csv, preamble, sheet_text
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""
@@ -74,32 +72,19 @@ class CsvFormat(ProgramFormat):
             },
             gains=f"Where the torques are currents (then units.torque is A): {GAINS_TO_FILL_IN}:",
         )
+        columns = [prefix + name for prefix in PREFIXES for name in names]
+        full, slow = (
+            motion_csv(motion, columns, request.rate, DECIMALS)
+            for motion in (request.motion, request.dry_run)
+        )
         return (
-            ProgramFile("program", f"{stem}.csv", motion_csv(request.motion, names, request.rate)),
-            ProgramFile(
-                "dry_run", f"{stem}_dry_run.csv", motion_csv(request.dry_run, names, request.rate)
-            ),
+            ProgramFile("program", f"{stem}.csv", full),
+            ProgramFile("dry_run", f"{stem}_dry_run.csv", slow),
             ProgramFile(
                 "notes", f"{stem}_notes.txt", "\n".join(preamble(request, self.title, use)) + "\n"
             ),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )
-
-
-def motion_csv(motion: Motion, joint_names: tuple[str, ...], rate: float) -> str:
-    """Return the motion as CSV with a fixed count of decimals.
-
-    The end of the motion is the last line whatever the rate.
-    """
-    t = times_to_end(motion, rate)
-    rows = np.round(np.hstack(motion.at(t)), DECIMALS) + 0.0
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(
-        ["t", *(prefix + name for prefix in PREFIXES for name in joint_names)]
-    )
-    for time, row in zip(t, rows, strict=True):
-        text.write(f"{time:.6f}," + ",".join(f"{value:.{DECIMALS}f}" for value in row) + "\n")
-    return text.getvalue()
 
 
 PROGRAM_FORMATS.register(CsvFormat.key, CsvFormat())

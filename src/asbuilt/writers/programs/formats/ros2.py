@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import times_to_end
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
 from asbuilt.writers.programs.naming import yaml_string
 from asbuilt.writers.programs.program_text import (
     GAINS_TO_FILL_IN,
@@ -14,7 +20,6 @@ from asbuilt.writers.programs.program_text import (
     render,
     sheet_text,
 )
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""

@@ -10,7 +10,13 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
 from asbuilt.writers.programs.naming import class_name
 from asbuilt.writers.programs.program_text import (
     DRY_RUN_PART,
@@ -21,7 +27,6 @@ from asbuilt.writers.programs.program_text import (
     rounded_down,
     sheet_text,
 )
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import Segment, point_to_point_segments, spline_times
 
 PACKAGE = "application"

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from asbuilt.errors import MotionError
-from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
+from asbuilt.writers.programs.format import (
+    DRY_RUN_SLOWDOWN,
+    PROGRAM_FORMATS,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
 from asbuilt.writers.programs.naming import identifier, plain_text
 from asbuilt.writers.programs.program_text import (
     DRY_RUN_PART,
@@ -14,7 +20,6 @@ from asbuilt.writers.programs.program_text import (
     render,
     sheet_text,
 )
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import hermite_knots
 
 LOOK_AHEAD, GAIN = 0.05, 600

@@ -1,7 +1,8 @@
-"""Section: how the parameters were estimated, and everything that was found."""
+"""Sections of the estimation: what was found, what the recordings determine, provenance."""
 
 from __future__ import annotations
 
+import shlex
 from typing import Any
 
 from asbuilt.identification.estimators.methods import method_title
@@ -10,7 +11,7 @@ from asbuilt.tables import share, significant
 from asbuilt.validation.comparison.parameter_text import drive_text
 from asbuilt.writers.reports.section import Report, Section, sections
 
-TEMPLATE = """\
+ESTIMATION = """\
 {% if findings %}
 <h3>{{ findings | length }} finding{{ "s" if findings | length > 1 else "" }}</h3>
 <ul class="sentences" id="findings">
@@ -33,9 +34,47 @@ TEMPLATE = """\
 </ul>
 {% endif %}
 """
+IDENTIFIABILITY = """\
+<div id="singular-plot" class="plot"></div>
+<p class="quiet">Singular values of the weighted observation matrix with columns scaled to unit\
+ length; the recordings determine {{ rank }} of {{ n_base }} directions.</p>
+<ul class="sentences">
+{% for line in sentences %}
+<li>{{ line }}</li>
+{% endfor %}
+</ul>
+{% if undetermined %}
+<h3>Undetermined directions</h3>
+<ul>
+{% for direction in undetermined %}
+<li><code>{{ direction }}</code></li>
+{% endfor %}
+</ul>
+{% endif %}
+"""
+PROVENANCE = """\
+<ol>
+{% for line in provenance %}
+<li>{{ line }}</li>
+{% endfor %}
+</ol>
+{% if citation_of_robot %}<p>Robot description: {{ citation_of_robot }}</p>{% endif %}
+{% if notes %}
+<h3>Notes of the description</h3>
+<ul>
+{% for note in notes %}
+<li>{{ note }}</li>
+{% endfor %}
+</ul>
+{% endif %}
+{% if command %}
+<h3>To repeat</h3>
+<pre><code>{{ command }}</code></pre>
+{% endif %}
+"""
 
 
-def _context(report: Report) -> dict[str, Any]:
+def _estimation(report: Report) -> dict[str, Any]:
     study = report.study
     return {
         "findings": study.findings,
@@ -74,6 +113,31 @@ def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
     ]
 
 
-sections.register(
-    "estimation", Section("Findings and estimation", 35, TEMPLATE, _context, folded=True)
-)
+def _identifiability(report: Report) -> dict[str, Any]:
+    result = report.study.result
+    return {
+        "rank": result.rank,
+        "n_base": result.n_base,
+        "sentences": report.study.determination.sentences,
+        "undetermined": result.undetermined,
+    }
+
+
+def _provenance(report: Report) -> dict[str, Any]:
+    result = report.study.result
+    return {
+        "provenance": result.provenance,
+        "citation_of_robot": result.model.citation,
+        "notes": result.model.notes,
+        "command": shlex.join(report.command),
+    }
+
+
+for identifier, section in {
+    "estimation": Section("Findings and estimation", 35, ESTIMATION, _estimation, folded=True),
+    "identifiability": Section(
+        "Identifiability", 70, IDENTIFIABILITY, _identifiability, folded=True
+    ),
+    "provenance": Section("Provenance", 80, PROVENANCE, _provenance, folded=True),
+}.items():
+    sections.register(identifier, section)

@@ -38,35 +38,23 @@ class Bam(SimulatorFormat):
         """Return the parameter sets and notes."""
         sets = {joint.name: parameter_set(joint) for joint in drives.plain.joints}
         late = {"command_delay": drives.delay} if drives.delay else {}
-        notes = (
-            *drives.left_out("BAM", carried=CARRIED, delay=True, gains=False),
+        negative = sorted({key for each in sets.values() for key in each if _below(each[key])})
+        uneven = [joint.name for joint in drives.plain.joints if _uneven(joint)]
+        own = {
             "BAM also wants `actuator` (the class of the motor) and the motor's own numbers, `kt`,"
             " `R` and others, which no recording of joint torque holds: add them, then"
-            " load_model_from_dict(sets[joint])",
-        )
-        if late:
-            notes = (
-                *notes,
-                "command_delay [s] is no parameter of BAM, whose loader passes over it: delay the"
-                " commands in its simulation",
-            )
-        if drives.has_gains:
-            notes = (*notes, "BAM has its own law of the servo: kp and kd are not in its file")
-        if negative := sorted({key for each in sets.values() for key in each if _below(each[key])}):
-            notes = (
-                *notes,
-                "BAM's own fits keep every parameter at zero or above; below zero at some joints"
-                f" are {', '.join(negative)}",
-            )
-        if uneven := [joint.name for joint in drives.plain.joints if _uneven(joint)]:
-            notes = (
-                *notes,
-                "BAM has one Stribeck velocity and power for all terms: that of the first term is"
-                f" written for {', '.join(uneven)}",
-            )
-        return json.dumps(
-            {name: each | late for name, each in sets.items()}, indent=2
-        ) + "\n", notes
+            " load_model_from_dict(sets[joint])": True,
+            "command_delay [s] is no parameter of BAM, whose loader passes over it: delay the"
+            " commands in its simulation": bool(late),
+            "BAM has its own law of the servo: kp and kd are not in its file": drives.has_gains,
+            "BAM's own fits keep every parameter at zero or above; below zero at some joints are"
+            f" {', '.join(negative)}": bool(negative),
+            "BAM has one Stribeck velocity and power for all terms: that of the first term is"
+            f" written for {', '.join(uneven)}": bool(uneven),
+        }
+        said = drives.left_out("BAM", carried=CARRIED, delay=True, gains=False)
+        text = json.dumps({name: each | late for name, each in sets.items()}, indent=2) + "\n"
+        return text, (*said, *(note for note, holds in own.items() if holds))
 
 
 def parameter_set(joint: Joint) -> dict[str, Any]:

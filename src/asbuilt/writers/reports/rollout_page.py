@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from pathlib import Path
 
 from asbuilt.description.model import RobotModel
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
-from asbuilt.writers.reports.page import page, section_markup, table_markup
-from asbuilt.writers.reports.report_verdict import Card, Mood
+from asbuilt.writers.reports.page import (
+    Block,
+    Card,
+    Mood,
+    cards_markup,
+    image_markup,
+    list_markup,
+    page,
+    section_markup,
+    table_markup,
+)
 from asbuilt.writers.reports.sections.rollout import TEMPLATE, rollout_fields
 from asbuilt.writers.tables.rollout_tables import error_text, joint_table, position_unit
 
@@ -48,26 +57,23 @@ def rollout_html(
     """Return the page of rollouts as text."""
     longest = rollouts[-1]
     logs = sorted({recording_name(each.source) for each in longest.by_recording})
-    moving = "" if animation is None else _address(animation)
+    cards, words = _cards(model, longest), "The measured robot in grey, the simulated one as lines"
+    moving = () if animation is None else (image_markup(_address(animation), words),)
+    joints = [
+        table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
+    ]
+    said = list_markup(each.text for each in rollout_findings(rollouts))
+    motion = section_markup(TEMPLATE, rollout_fields(model, rollouts))
     return page(
-        "rollout.html.j2",
+        model.name,
+        ", ".join(logs),
+        [
+            Block("verdict", "Verdict", (cards_markup(cards), said)),
+            Block("animation", "Animation", moving),
+            Block("motion", "Measured and simulated motion", (motion,), "Motion"),
+            Block("by-joint", "Joint by joint", joints, "Joints"),
+        ],
         title=f"{model.name}: rollout",
-        heading=model.name,
-        subject=", ".join(logs),
-        subtitle="",
-        contents=[
-            ("verdict", "Verdict"),
-            *([("animation", "Animation")] if moving else []),
-            ("motion", "Motion"),
-            ("by-joint", "Joints"),
-        ],
-        cards=_cards(model, longest),
-        findings=[each.text for each in rollout_findings(rollouts)],
-        animation=moving,
-        motion=section_markup(TEMPLATE, rollout_fields(model, rollouts)),
-        joints=[
-            table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
-        ],
     )
 
 
@@ -75,18 +81,21 @@ def _cards(model: RobotModel, rollout: Rollout) -> list[Card]:
     unit, horizon = position_unit(model), f"over {rollout.horizon:g} s"
     cad, built = rollout.cad, rollout.as_built
     better = cad is not None and built is not None and built.rms_all_until < cad.rms_all_until
-    cards = []
-    for name, errors in (("by CAD", rollout.cad), ("as built", rollout.as_built)):
-        if errors is not None:
-            mood: Mood = "neutral" if name == "by CAD" else "good" if better else "bad"
-            said = f"error of the simulation {name} {horizon}"
-            cards.append(Card(mood, error_text(errors, unit), said))
-    if rollout.no_physics is not None:
-        said = f"error of the delayed command without physics {horizon}"
-        cards.append(Card("neutral", error_text(rollout.no_physics, unit), said))
-    if rollout.floor is not None:
-        said = "between repetitions of a command"
-        cards.append(Card("neutral", error_text(rollout.floor, unit), said))
+    said: tuple[tuple[Mood, RolloutErrors | None, str], ...] = (
+        ("neutral", cad, f"error of the simulation by CAD {horizon}"),
+        ("good" if better else "bad", built, f"error of the simulation as built {horizon}"),
+        (
+            "neutral",
+            rollout.no_physics,
+            f"error of the delayed command without physics {horizon}",
+        ),
+        ("neutral", rollout.floor, "between repetitions of a command"),
+    )
+    cards = [
+        Card(mood, error_text(errors, unit), label)
+        for mood, errors, label in said
+        if errors is not None
+    ]
     if better and cad is not None and built is not None:
         less = 1.0 - built.rms_all_until / cad.rms_all_until
         until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""
@@ -96,5 +105,4 @@ def _cards(model: RobotModel, rollout: Rollout) -> list[Card]:
 
 def _address(path: Path) -> str:
     """Return a file as the address of a picture that a page holds itself."""
-    kind = path.suffix.lower().removeprefix(".")
-    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    return data_address(path.read_bytes(), f"image/{path.suffix.lower().removeprefix('.')}")

@@ -1,9 +1,6 @@
-"""Cards of a report: prediction, consistency, determination and differences at a glance."""
+"""Cards of pages: prediction, consistency, determination and differences at a glance."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Literal
 
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.result.determination import Determination
@@ -12,22 +9,12 @@ from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import Comparison
 from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
+from asbuilt.writers.reports.page import Card, Mood
 
-Mood = Literal["good", "bad", "neutral"]
 MOODS: dict[Use, Mood] = {"yes": "good", "with care": "neutral", "no": "bad"}
 
 
-@dataclass(frozen=True, slots=True)
-class Card:
-    """Hold one statement: a number, its label, and a sentence."""
-
-    mood: Mood
-    figure: str
-    label: str
-    sentence: str = ""
-
-
-def verdict(study: Study) -> tuple[Card, ...]:
+def study_cards(study: Study) -> tuple[Card, ...]:
     """Return the cards of a study."""
     return (
         error_card(study.verdict),
@@ -48,43 +35,27 @@ def error_card(found: Verdict) -> Card:
     cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
     measured = "torque error" if found.measure == "torque" else "simulation error"
     label = f"{measured} of the exported robot{cad}"
-    return Card(MOODS[found.use], text(found.error.decisive), label, found.text)
+    return Card(MOODS[found.use], text(found.error.decisive), label)
 
 
 def torque_card(comparison: Comparison) -> Card:
     """Return how well torque is predicted as built, beside CAD if that is known."""
     cad, built = comparison.torque[0]
-    label = "torque error as built"
+    error, label = share(built.relative_error), "torque error as built"
     if cad is None:
-        return Card("neutral", share(built.relative_error), label)
+        return Card("neutral", error, label)
     better = built.relative_error < cad.relative_error
-    return Card(
-        "good" if better else "bad",
-        share(built.relative_error),
-        f"{label}, CAD {share(cad.relative_error)}",
-    )
+    return Card("good" if better else "bad", error, f"{label}, CAD {share(cad.relative_error)}")
 
 
 def consistency_card(result: IdentificationResult) -> Card:
     """Return whether physically consistent links and passive drives have the parameters."""
     if result.physically_consistent is None:
-        return Card("neutral", "not checked", "physical consistency", "Consistency is not checked.")
+        return Card("neutral", "not checked", "physical consistency")
     if result.physically_consistent:
-        return Card(
-            "good",
-            "consistent",
-            "physically",
-            "The parameters are physically consistent, so simulators can use the model.",
-        )
+        return Card("good", "consistent", "physically")
     negative = ", ".join(non_passive_drives(result.base, result.estimates))
-    what = f"Friction or armature is NEGATIVE: {negative}" if negative else "The parameters are NOT"
-    return Card(
-        "bad",
-        "inconsistent",
-        "physically",
-        f"{what}{'' if negative else ' physically consistent'}. Predictions hold, but a simulator"
-        " may become unstable; fit with consistency imposed.",
-    )
+    return Card("bad", "inconsistent", f"physically{f', negative {negative}' if negative else ''}")
 
 
 def determination_card(found: Determination) -> Card:
@@ -92,32 +63,14 @@ def determination_card(found: Determination) -> Card:
     classes = (found.well, found.fairly, found.hardly, found.not_at_all, found.dropped)
     good, total = len(found.well) + len(found.fairly), sum(map(len, classes))
     mood: Mood = "bad" if found.not_at_all else "good" if good == total else "neutral"
-    parts = [
-        f"{len(found.hardly)} have a standard error above half their value" if found.hardly else "",
-        f"{len(found.not_at_all)} are undetermined and regularised toward CAD"
-        if found.not_at_all
-        else "",
-        f"{len(found.dropped)} were dropped" if found.dropped else "",
-    ]
-    rest = ", ".join(part for part in parts if part)
-    return Card(
-        mood,
-        f"{good} of {total}",
-        "parameters determined to 50 % or better",
-        f"The recordings determine {good} of {total} parameters to 50 % or better"
-        f"{f'; {rest}' if rest else ''}.",
-    )
+    return Card(mood, f"{good} of {total}", "parameters determined to 50 % or better")
 
 
 def difference_card(comparison: Comparison) -> Card:
     """Return how many parameters differ from CAD."""
     matter = comparison.n_mattering
     verb = "matters" if matter == 1 else "matter"
-    return Card(
-        "neutral",
-        f"{comparison.n_differing} of {comparison.n_compared}",
-        "parameters differ from CAD"
-        + ("" if matter is None else f", {matter} {verb} to the torque"),
-        f"{comparison.n_differing} of {comparison.n_compared} determined parameters with a CAD"
-        f" value differ from it ({comparison.rule()}).",
+    label = "parameters differ from CAD" + (
+        "" if matter is None else f", {matter} {verb} to the torque"
     )
+    return Card("neutral", f"{comparison.n_differing} of {comparison.n_compared}", label)

@@ -1,18 +1,22 @@
-"""Text, table and document of a review of a robot description."""
+"""Review of a robot description: text, tables, document, page and files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
+import polars as pl
+
+from asbuilt.codec import json_text
 from asbuilt.findings import Finding, joined
 from asbuilt.tables import (
     Cell,
     Column,
-    Shown,
     Table,
+    estimated,
     plus_minus,
-    rounded,
     share,
     significant,
     wrapped,
@@ -21,6 +25,19 @@ from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.letter import LETTERS
 from asbuilt.validation.review.claim import Claim
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
+from asbuilt.writers.figures.figure_style import figure_address, save_figure
+from asbuilt.writers.figures.review_figure import review_figure
+from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.reports.page import (
+    Block,
+    Card,
+    Mood,
+    cards_markup,
+    image_markup,
+    list_markup,
+    page,
+    table_markup,
+)
 
 MOST_CLAIMS = 24
 """Claims in a short text."""
@@ -89,28 +106,33 @@ def review_headline(review: Review) -> str:
     )
 
 
+CLAIMS = (
+    Column(
+        "verdict",
+        of=lambda c: "CONTRADICTED" if c.verdict == "contradicted" else c.verdict,
+    ),
+    Column("number", width=13, of="what"),
+    Column("joint", width=22, of="joint"),
+    Column("unit", detail=True, of="unit"),
+    Column("claimed", align="decimal", style=3, of="claimed"),
+    Column("log", align="decimal", of=lambda c: _estimated(c)[0]),
+    Column("std err", align="decimal", of=lambda c: _estimated(c)[1]),
+    Column("torque", "N m", "decimal", style=3, of="torque"),
+    Column("alias of", width=60, detail=True, of=lambda c: ", ".join(c.alias_of)),
+    Column("note", width=60, detail=True, of="note"),
+)
+
+
 def review_table(review: Review) -> Table:
     """Return one row per claim, contradicted ones first; short: drives before bodies."""
-    columns = (
-        Column("verdict"),
-        Column("number", width=13),
-        Column("joint", width=22),
-        Column("unit", detail=True),
-        Column("claimed", align="decimal"),
-        Column("log", align="decimal"),
-        Column("std err", align="decimal"),
-        Column("torque", "N m", "decimal"),
-        Column("alias of", width=60, detail=True),
-        Column("note", width=60, detail=True),
-    )
     tolerance = review.tolerance
     plausible = (
         f"{share(tolerance.mass, 0)} of mass, {share(tolerance.centre, 0)} of the radius of"
         f" gyration for centres and {share(tolerance.inertia, 0)} of the mean moment"
     )
-    return Table(
-        columns,
-        tuple(_row(claim) for claim in review.claims),
+    return Table.of(
+        review.claims,
+        CLAIMS,
         title="Claimed numbers beside what the log says with nothing that pulls it to the claim",
         notes=(
             f"CONTRADICTED: off by more than {share(RESOLUTION, 0)} of its size, at a false"
@@ -150,22 +172,72 @@ def _important(review: Review) -> tuple[int, ...]:
     return tuple(sorted(order[:MOST_CLAIMS]))
 
 
-def _row(claim: Claim) -> tuple[Cell, ...]:
-    verdict = "CONTRADICTED" if claim.verdict == "contradicted" else claim.verdict
-    estimate: Cell = None
-    error: Cell = None
-    if claim.estimate is not None:
-        shown, uncertainty = rounded(claim.estimate, claim.std_error)
-        estimate, error = Shown(claim.estimate, shown), Shown(claim.std_error, uncertainty)
-    return (
-        verdict,
-        claim.what,
-        claim.joint,
-        claim.unit,
-        Shown(claim.claimed, significant(claim.claimed)),
-        estimate,
-        error,
-        None if claim.torque is None else Shown(claim.torque, significant(claim.torque)),
-        ", ".join(claim.alias_of),
-        claim.note,
+def _estimated(claim: Claim) -> tuple[Cell, ...]:
+    return (None, None) if claim.estimate is None else estimated(claim.estimate, claim.std_error)
+
+
+MOODS: dict[str, Mood] = {"contradicted": "bad", "supported": "good", "undetermined": "neutral"}
+
+
+def write_review(folder: Path, review: Review) -> dict[str, Path]:
+    """Write review.json, claims.csv, claims.parquet, review.html and review.png.
+
+    Returns the paths by kind. The tables have the fields of `Claim`, unrounded; `alias_of` is a
+    list in Parquet, and joined by semicolons in CSV.
+    """
+    frame = claims_frame(review)
+    stream = io.BytesIO()
+    frame.write_parquet(stream)
+    flat = frame.with_columns(pl.col("alias_of").list.join("; "))
+    return {
+        "review": atomic_write(folder / "review.json", json_text(review_document(review))),
+        "table": atomic_write(folder / "claims.csv", flat.write_csv()),
+        "parquet": atomic_write(folder / "claims.parquet", stream.getvalue()),
+        "report": atomic_write(folder / "review.html", review_html(review)),
+        "figure": save_figure(review_figure(review), folder / "review.png"),
+    }
+
+
+def claims_frame(review: Review) -> pl.DataFrame:
+    """Return one row per claim, contradicted ones first, with the fields of `Claim`."""
+    numbers = ("claimed", "estimate", "std_error", "torque", "p_value", "false_discovery")
+    texts = ("what", "joint", "unit", "verdict", "note")
+    return pl.DataFrame(
+        [claim.as_dict() for claim in review.claims],
+        schema_overrides={
+            **dict.fromkeys(numbers, pl.Float64),
+            **dict.fromkeys(texts, pl.String),
+            "alias_of": pl.List(pl.String),
+            "alike": pl.Boolean,
+        },
+    )
+
+
+def with_files(review: Review, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return the JSON document of a review with the paths of what was written."""
+    return review_document(review) | ({"files": path_texts(files)} if files else {})
+
+
+def review_html(review: Review) -> str:
+    """Return the page of a review as text."""
+    table = review_table(review)
+    cards = [Card(MOODS[each], str(review.count(each)), each) for each in ORDER]
+    drawn = image_markup(
+        figure_address(review_figure(review)),
+        "Armature, damping, friction loss and stiffness of each joint as the log has them, with"
+        " bars of two standard errors, beside what the description claims; the numbers are in the"
+        " table below",
+    )
+    found = list_markup((each.severity, each.text) for each in review.findings)
+    return page(
+        review.robot,
+        f"{len(review.claims)} claimed numbers",
+        [
+            Block("verdict", "Verdict", (cards_markup(cards), list_markup(table.notes))),
+            Block("drives", "Numbers of the drives", (drawn,), "Drives"),
+            Block("claims", "All numbers", (table_markup(table, "claims-table"),)),
+            Block("found", "What the identification found", (found,), folded=True),
+        ],
+        title=f"{review.robot}: review",
+        subtitle="Against " + ", ".join(map(recording_name, review.sources)),
     )

@@ -1,0 +1,198 @@
+"""Figures of comparisons: causes of the CAD error, differences and changes with their torque."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from asbuilt.tables import significant
+from asbuilt.validation.attribution.attribution import Attribution
+from asbuilt.validation.attribution.causes import CAUSES
+from asbuilt.validation.comparison.comparison import Comparison
+from asbuilt.validation.comparison.drift import Drift
+from asbuilt.writers.figures.figure_style import (
+    AS_BUILT,
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    QUIET,
+    broken,
+    drawn,
+)
+
+CAUSE_COLOURS: dict[str, str] = {
+    "offset": "#F0E442",
+    "friction": BLUE,
+    "richer friction": "#56B4E9",
+    "armature": "#CC79A7",
+    "payload": AS_BUILT,
+    "mounting": GREEN,
+    "gain": ORANGE,
+    "links": "#7A6A53",
+}
+"""One colour per cause, after Okabe and Ito (2008)."""
+MOST_DIFFERENCES = 20
+"""Parameters in the figure of differences."""
+UNEXPLAINED = "#D5D9DE"
+LABELLED = 0.035
+"""Smallest share that is labelled with its number, as a part of the axis."""
+CUT = 3.0
+"""Share at which the axis ends: at a joint with almost no error the causes cancel, and their shares
+have no bound."""
+
+
+def attribution_figure(attribution: Attribution) -> Figure:
+    """Draw the shares of the causes in the squared CAD error of each joint, stacked."""
+    n = len(attribution.joint_names)
+    place, (low, high) = np.arange(n), _span(attribution)
+    gap = 0.015 * (high - low)
+    bar: dict[str, Any] = {"width": 0.68, "edgecolor": "white", "linewidth": 0.6}
+    small: dict[str, Any] = {"ha": "center", "fontsize": 7.5}
+    title = f"{attribution.robot}: causes of the torque error of CAD (RMS on top)"
+    with drawn(1.05 * n + 3.2, 4.2, title) as (figure, (axis,)):
+        above, below = np.zeros(n), np.zeros(n)
+        for each in attribution.shares:
+            colour, name = CAUSE_COLOURS[each.cause], CAUSES[each.cause]
+            ink = "white" if each.cause in ("friction", "payload", "links", "mounting") else INK
+            up, down = np.maximum(each.share, 0.0), np.minimum(each.share, 0.0)
+            axis.bar(place, 100 * up, bottom=100 * above, color=colour, label=name, **bar)
+            axis.bar(place, 100 * down, bottom=100 * below, color=colour, **bar)
+            for k, part in enumerate(each.share):
+                foot = above[k] if part > 0 else below[k]
+                ends = np.clip([foot, foot + part], low, high)
+                if abs(ends[1] - ends[0]) >= LABELLED * (high - low):
+                    axis.text(
+                        k, 50 * ends.sum(), f"{100 * part:.0f}", va="center", color=ink, **small
+                    )
+            above, below = above + up, below + down
+        rest = 100 * attribution.unexplained
+        axis.bar(place, rest, bottom=100 * above, color=UNEXPLAINED, label="unexplained", **bar)
+        top = above + attribution.unexplained
+        for k, (rms, unit) in enumerate(zip(attribution.rms_cad, attribution.units, strict=True)):
+            height, error = 100 * (min(top[k], high) + gap), f"{significant(float(rms))} {unit}"
+            axis.text(k, height, error, va="bottom", **small)
+            for end, whole, mark in ((high, top[k], "\u25b2"), (low, below[k], "\u25bc")):
+                if abs(whole) > abs(end):
+                    axis.text(
+                        k,
+                        100 * (end - np.sign(end) * gap),
+                        f"{mark} {100 * whole:.0f} %",
+                        va="top" if end > 0.0 else "bottom",
+                        color="white",
+                        fontweight="bold",
+                        **small,
+                    )
+        if below.min() < -0.02:
+            axis.axhline(100.0, color=INK, linewidth=0.6, linestyle=":")
+            against = (
+                "A negative share works against the others; the shares of a joint add up to 100 %."
+            )
+            figure.supxlabel(against, fontsize=7.5, color=QUIET)
+        axis.axhline(0.0, color=INK, linewidth=0.6)
+        names = [broken(name, 14) for name in attribution.joint_names]
+        axis.set_xticks(place, names, rotation=0 if n <= 8 else 30)
+        axis.set(
+            ylim=(
+                100 * (1.15 * low if low > -CUT else low),
+                100 * (1.1 * high if high < CUT else high),
+            ),
+            ylabel="share of the squared CAD error [%]",
+        )
+        axis.grid(axis="x", visible=False)
+        figure.legend(loc="outside right upper", reverse=True)
+    return figure
+
+
+def _span(attribution: Attribution) -> tuple[float, float]:
+    """Return the lowest and the highest share that is drawn, within `CUT`."""
+    shares = np.array([each.share for each in attribution.shares])
+    lowest = float(np.minimum(shares, 0.0).sum(axis=0).min(initial=0.0))
+    highest = float((np.maximum(shares, 0.0).sum(axis=0) + attribution.unexplained).max())
+    return max(-CUT, lowest), min(CUT, highest)
+
+
+def difference_figure(comparison: Comparison) -> Figure:
+    """Draw the parameters whose difference has the most torque, with the part that is their own.
+
+    Those below a fiftieth of the largest are left out.
+    """
+    largest = max((each.torque_total or 0.0 for each in comparison.parameters), default=0.0)
+    shown = [
+        each
+        for each in comparison.ranked
+        if each.torque_total and each.torque_total >= 0.02 * largest
+    ][:MOST_DIFFERENCES]
+    place = np.arange(len(shown))
+    total = np.array([each.torque_total or 0.0 for each in shown])
+    own = [each.torque_own or 0.0 for each in shown]
+    colours = [AS_BUILT if each.verdict == "differs" else GREY for each in shown]
+    title = f"{comparison.robot}: differences from CAD and their torque"
+    with drawn(7.6, 0.24 * max(len(shown), 1) + 1.2, title) as (figure, (axis,)):
+        axis.barh(place, total, height=0.7, color=colours, alpha=0.35)
+        axis.barh(place, own, height=0.7, color=colours)
+        for k, each in enumerate(shown):
+            felt = f"joint {1 + int(np.argmax(each.torque))}" if each.torque else ""
+            shared = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else ""
+            remark = shared or ("" if each.matters else ", small")
+            beyond = total[k] + 0.01 * total.max()
+            axis.text(beyond, k, f"{felt}{remark}", va="center", fontsize=7, color=QUIET)
+        axis.set_yticks(place, [f"{each.name}  ({each.words})" for each in shown], fontsize=7)
+        axis.set(
+            xlabel="torque of the difference, RMS over all joints [N m]",
+            xlim=(0, 1.22 * float(total.max(initial=1e-12))),
+            ylim=(len(shown) - 0.4, -0.6),
+        )
+        axis.grid(axis="y", visible=False)
+        for colour, label in ((AS_BUILT, "differs"), (GREY, "within standard errors")):
+            axis.bar([0], [0], color=colour, label=label)
+        pale = "pale: part that others could make up for"
+        axis.legend(loc="lower right", title=pale, title_fontsize=8)
+    return figure
+
+
+CHANCE = "#D5D9DE"
+"""Colour of the change expected by chance."""
+
+
+def drift_figure(drift: Drift) -> Figure:
+    """Draw the RMS torque of all changes at each joint, and what standard errors explain below."""
+    change = "difference" if drift.of_models else "change"
+    joints, place = drift.joints, np.arange(len(drift.joints))
+    sure = np.array([each.holm <= drift.level for each in joints])
+    torque = np.array([each.torque for each in joints])
+    by_chance = np.array([each.by_chance for each in joints])
+    longest = max(torque.max(initial=0.0), by_chance.max(initial=0.0)) or 1.0
+    units = ", ".join(sorted({each.unit for each in joints}, reverse=True))
+    title = f"{drift.robot}: {change} of torque, and what standard errors explain"
+    with drawn(7.6, 0.46 * len(joints) + 1.3, title) as (figure, (axis,)):
+        for label, shift, height, colour, lengths, shown in (
+            (f"{change}, significant", -0.2, 0.38, AS_BUILT, torque, sure),
+            (f"{change}, within errors", -0.2, 0.38, GREY, torque, ~sure),
+            ("expected from standard errors", 0.17, 0.28, CHANCE, by_chance, sure | ~sure),
+        ):
+            if not shown.any():
+                continue
+            bars = np.where(shown, lengths, 0.0)
+            axis.barh(place + shift, bars, height=height, color=colour, label=label)
+            for k in np.flatnonzero(shown):
+                axis.text(
+                    lengths[k] + 0.008 * longest,
+                    k + shift,
+                    f"{significant(lengths[k])} {joints[k].unit}",
+                    va="center",
+                    fontsize=7.5 if height > 0.3 else 6.5,
+                    color=QUIET,
+                )
+        axis.set_yticks(place, [broken(each.joint, 20) for each in joints])
+        axis.set(
+            xlabel=f"RMS on the same motion [{units}]",
+            xlim=(0.0, 1.12 * longest),
+            ylim=(len(joints) - 0.4, -0.6),
+        )
+        axis.grid(axis="y", visible=False)
+        figure.legend(loc="outside lower right", ncols=3)
+    return figure

@@ -1,0 +1,118 @@
+"""Figures that results draw by name: parameters, and torque and its residuals joint by joint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
+from asbuilt.identification.result.result import FIGURES, IdentificationResult
+from asbuilt.identification.result.torque_prediction import Prediction
+from asbuilt.writers.figures.figure_style import AS_BUILT, GREY, INK, blank_figure, headline, styled
+from asbuilt.writers.figures.torque_figure import draw_errors, draw_torque, torque_label
+
+Axes = NDArray[np.object_]
+
+
+def _axes_in(axes: Any, count: int, width: float, height: float) -> Axes:
+    """Return `count` axes as a vector, if none are given in a column of a new figure [inch].
+
+    Raises `UsageError` for another number of axes.
+    """
+    if axes is None:
+        axes = blank_figure(width, height).subplots(count, 1, sharex=True, squeeze=False)
+    given: Axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+    if given.size != count:
+        raise UsageError(
+            f"this figure needs {count} axes, got {given.size}", value=given.size, expected=count
+        )
+    return given
+
+
+def _required(prediction: Prediction | None, kind: str) -> Prediction:
+    """Return the prediction; raises `UsageError` if there is none."""
+    if prediction is None:
+        raise UsageError(
+            f"a figure of {kind} shows a recording, and none is given",
+            cure=Cure("give a recording or its prediction, or draw the figure of the study"),
+        )
+    return prediction
+
+
+def draw_parameters(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
+    """Draw each parameter less its CAD value (0 where unknown) in units of its standard error.
+
+    The 95 % interval is about 2 wide to either side; parameters that the recording does not
+    determine are grey. `prediction` is not used.
+    """
+    cad = np.nan_to_num(result.cad_values, nan=0.0)
+    errors = np.where(result.std_errors > 0.0, result.std_errors, np.nan)
+    difference = (result.estimates - cad) / errors
+    low, high = ((result.conf_int().T - cad) / errors).reshape(2, -1)
+    rows = np.arange(len(difference))
+    determined = np.array([each.determined for each in result.parameters])
+    with styled():
+        # 0.17: height of a parameter's row [inch].
+        (axis,) = own = _axes_in(axes, 1, 7.0, 0.17 * len(rows) + 1.0)
+        for chosen, color, label in (
+            (determined, AS_BUILT, "as built, with its interval"),
+            (~determined, GREY, "undetermined"),
+        ):
+            if chosen.any():
+                axis.errorbar(
+                    difference[chosen],
+                    rows[chosen],
+                    xerr=(difference[chosen] - low[chosen], high[chosen] - difference[chosen]),
+                    fmt="o",
+                    markersize=3,
+                    linewidth=0.9,
+                    color=color,
+                    label=label,
+                )
+        axis.axvline(0.0, color=INK, linewidth=0.7)
+        axis.set_xscale("symlog", linthresh=10.0)
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.set_yticks(rows, result.names)
+        axis.set_ylim(len(rows) - 0.5, -0.5)
+        axis.set_xlabel("as built less CAD [standard errors]")
+        axis.legend(loc="lower right")
+        if axes is None:
+            headline(axis.figure, f"{result.robot}: parameters")
+    return own
+
+
+def draw_torques(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
+    """Draw measured and predicted torque of a recording."""
+    return _by_joint(result, _required(prediction, "torque"), axes, residuals=False)
+
+
+def draw_residuals(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
+    """Draw measured less predicted torque of a recording."""
+    return _by_joint(result, _required(prediction, "residuals"), axes, residuals=True)
+
+
+def _by_joint(
+    result: IdentificationResult, shown: Prediction, axes: Any, *, residuals: bool
+) -> Axes:
+    joints = result.model.joints
+    with styled():
+        # 1.25: height of a joint's axis [inch].
+        own = _axes_in(axes, len(joints), 8.0, 1.25 * len(joints) + 0.7)
+        for k, (axis, joint) in enumerate(zip(own, joints, strict=True)):
+            torques = shown.t, shown.measured[:, k], shown.predicted[:, k]
+            (draw_errors if residuals else draw_torque)(axis, *torques)
+            axis.set_ylabel(torque_label(joint.name, "N m" if joint.is_revolute else "N"))
+        for axis in own if residuals else own[:1]:
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        own[-1].set_xlabel("time [s]")
+        if axes is None:
+            headline(own[0].figure, f"{result.robot}: {shown.source}")
+    return own
+
+
+FIGURES.register("parameters", draw_parameters)
+FIGURES.register("torque", draw_torques)
+FIGURES.register("residuals", draw_residuals)

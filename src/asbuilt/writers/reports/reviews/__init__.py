@@ -1,1 +1,0 @@
-"""Review of a robot description in words, tables and plain data."""

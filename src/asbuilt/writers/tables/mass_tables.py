@@ -1,0 +1,174 @@
+"""Masses of links: by CAD and as built, and of a description beside computed ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.errors import DescriptionError, IdentifiabilityError
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.tables import Column, Table
+from asbuilt.workflow.masses.link_masses import LinkMasses
+from asbuilt.workflow.masses.mass_findings import LinkMass
+from asbuilt.writers.models.as_built import as_built
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedMasses:
+    """Hold the masses of the links [kg] by CAD, None if unknown, and of the exported robot."""
+
+    names: tuple[str, ...]
+    cad: tuple[float | None, ...]
+    as_built: tuple[float, ...]
+
+    @property
+    def total_cad(self) -> float | None:
+        """Total mass by CAD [kg]; None if that of a link is unknown."""
+        known = [mass for mass in self.cad if mass is not None]
+        return sum(known) if len(known) == len(self.cad) else None
+
+    @property
+    def total_as_built(self) -> float:
+        """Total mass of the exported robot [kg]."""
+        return sum(self.as_built)
+
+    @property
+    def links(self) -> tuple[tuple[str, float | None, float], ...]:
+        """Name, mass by CAD and as built of each link."""
+        return tuple(zip(self.names, self.cad, self.as_built, strict=True))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the masses as plain data."""
+        return {
+            "cad": self.total_cad,
+            "as_built": self.total_as_built,
+            "links": [
+                {"name": name, "cad": cad, "as_built": built} for name, cad, built in self.links
+            ],
+        }
+
+
+@lru_cache(maxsize=4)
+def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
+    """Return the masses of the links; None if no robot as built can be exported."""
+    try:
+        model = as_built(result).model
+    except (IdentifiabilityError, DescriptionError):
+        return None
+    pairs = [
+        (link, built)
+        for link, built in zip(result.model.links, model.links, strict=True)
+        if not link.negligible
+    ]
+    return ExportedMasses(
+        names=tuple(link.name for link, _ in pairs),
+        cad=tuple(float(link.inertia.mass) if link.inertia_known else None for link, _ in pairs),
+        as_built=tuple(float(built.inertia.mass) for _, built in pairs),
+    )
+
+
+def mass_table(masses: ExportedMasses) -> Table:
+    """Return the masses link by link with their total."""
+    columns = (
+        Column("link", width=30, of=lambda each: each[0]),
+        Column("CAD", "kg", "decimal", 4, of=lambda each: each[1]),
+        Column("as built", "kg", "decimal", 4, of=lambda each: each[2]),
+        Column(
+            "difference",
+            "kg",
+            "decimal",
+            4,
+            of=lambda each: None if each[1] is None else each[2] - each[1],
+        ),
+    )
+    note = (
+        "As built: links of the exported robot, the closest to CAD within the standard errors."
+        " Torques determine combinations of masses, not each mass."
+    )
+    total = ("total", masses.total_cad, masses.total_as_built)
+    return Table.of([*masses.links, total], columns, "Masses of the links", notes=(note,))
+
+
+def masses_document(masses: LinkMasses) -> dict[str, Any]:
+    """Return mass properties and findings as plain data."""
+    return {
+        "robot": masses.model.name,
+        "links": [
+            {
+                "name": each.name,
+                "origin": each.origin,
+                "volume": each.volume,
+                "density": each.density,
+                "described": _body_document(each.described),
+                "computed": _body_document(each.computed),
+            }
+            for each in masses.links
+        ],
+        "findings": [finding.as_dict() for finding in masses.findings],
+    }
+
+
+def _body_document(body: LinkInertia | None) -> dict[str, Any] | None:
+    if body is None:
+        return None
+    return {
+        "mass": body.mass,
+        "com": body.com.tolist(),
+        "inertia_about_com": body.inertia_about_com.tolist(),
+    }
+
+
+def masses_table(masses: LinkMasses) -> Table:
+    """List mass, centre of mass and moments, description beside computed, worst link first."""
+    columns = (
+        Column("link", of="name"),
+        Column("mass", "kg", "decimal", ".4g", of=lambda each: _mass(each.described)),
+        Column("computed", "kg", "decimal", ".4g", of=lambda each: _mass(each.computed)),
+        Column("density", "kg/m^3", "right", ".4g", of="density"),
+        Column("centre off", "mm", "decimal", ".1f", of=_centre_off),
+        Column("inertia", "computed / file", "right", of=_inertia_ratio),
+        Column("from", detail=True, of=lambda each: each.origin or None),
+        Column(
+            "Ixx Iyy Izz in the file",
+            "kg m^2",
+            detail=True,
+            of=lambda each: _moments(each.described),
+        ),
+        Column(
+            "Ixx Iyy Izz computed", "kg m^2", detail=True, of=lambda each: _moments(each.computed)
+        ),
+    )
+    title = f"{masses.model.name}: mass properties of the description beside those computed"
+    details = (
+        "Moments are about the centre of mass; the density is mass over volume of geometry.",
+    )
+    return Table.of(masses.links, columns, title, details=details)
+
+
+def _mass(body: LinkInertia | None) -> float | None:
+    return None if body is None else body.mass
+
+
+def _centre_off(link: LinkMass) -> float | None:
+    was, now = link.described, link.computed
+    return None if was is None or now is None else 1e3 * float(np.linalg.norm(now.com - was.com))
+
+
+def _inertia_ratio(link: LinkMass) -> str | None:
+    was, now = link.described, link.computed
+    if was is None or now is None:
+        return None
+    moments = was.principal_moments
+    with np.errstate(all="ignore"):
+        ratios = now.principal_moments / np.where(moments > 0.0, moments, np.nan)
+    return " ".join(f"{value:.2g}" for value in ratios) if np.isfinite(ratios).all() else None
+
+
+def _moments(body: LinkInertia | None) -> str | None:
+    if body is None:
+        return None
+    return " ".join(f"{value:.3g}" for value in np.diag(body.inertia_about_com))
