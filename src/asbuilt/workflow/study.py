@@ -34,8 +34,11 @@ from asbuilt.registry import shared_settings
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison, compare
 from asbuilt.validation.prediction import Validation
+from asbuilt.validation.rollout.joint_errors import joint_table
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
+from asbuilt.validation.verdicts.rules import OF_TORQUE
 from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
+from asbuilt.validation.verdicts.verdict_error import decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.fitting.conclusion import conclude_study
 from asbuilt.workflow.fitting.fits import fit_study
@@ -108,8 +111,15 @@ class Study:
         return self.summary()._repr_html_()
 
     def summary(self) -> Summary:
-        """Summarise result and findings as text, HTML or CSV."""
-        return summarise(self.result, findings=self.findings, verdict=self.verdict.text)
+        """Summarise result and findings as text, HTML or CSV.
+
+        The errors of the joints are those that decide: of torque, or of simulated motion.
+        """
+        found = summarise(self.result, findings=self.findings, verdict=self.verdict.text)
+        simulated = decisive_rollout(self.rollouts)
+        if self.verdict.measure == "torque" or simulated is None:
+            return found
+        return replace(found, joints=joint_table(self.result.model, simulated))
 
     def plot(self, kind: str = "torque", axes: Any = None) -> Array:
         """Draw a figure as `IdentificationResult.plot`, of what was held out if anything was."""
@@ -326,7 +336,12 @@ def _rolled_out(
         raise _all_fitted()
     result = study.result.of_training
     rollouts = simulated_rollouts([result] * len(held), held, horizons, workers=workers)
-    findings = ranked((*study.findings, *rollout_findings(rollouts)))
+    known = study.findings
+    if result.servo is not None and decisive_rollout(rollouts) is not None:
+        known = tuple(
+            replace(each, severity="info") if each.code in OF_TORQUE else each for each in known
+        )
+    findings = ranked((*known, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)
 
 

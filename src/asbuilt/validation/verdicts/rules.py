@@ -65,6 +65,8 @@ OF_TORQUE = frozenset(
         "joint_torque_scale",
         "joint_gain_wrong",
         "torque_unexplained",
+        "torque_uncorrelated",
+        "cad_predicts_better",
         "does_not_generalise",
     }
 )

@@ -17,6 +17,7 @@ from asbuilt.identification.result.as_built_parameters import as_built_parameter
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share, significant
 from asbuilt.validation.prediction import Validation
+from asbuilt.validation.rollout.joint_errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.reasons import Reason, is_untested, reasons_against
 from asbuilt.validation.verdicts.rules import RULES
@@ -141,8 +142,7 @@ def _percent(value: float | None) -> str:
 
 
 def _rollout_text(result: IdentificationResult, simulated: Rollout, error: VerdictError) -> str:
-    turns = {joint.is_revolute for joint in result.model.joints}
-    unit = "mrad" if turns == {True} else "mm" if turns == {False} else "mrad or mm"
+    unit = position_unit(result.model)
     size = "one that diverges" if error.decisive is None else f"{1e3 * error.decisive:.3g} {unit}"
     cad = "" if error.cad is None else f" (CAD {significant(1e3 * error.cad)})"
     return f"{size} over {simulated.horizon:g} s{cad}"

@@ -16,11 +16,12 @@ from asbuilt.description.appearance import link_solids
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
+from asbuilt.validation.rollout.joint_errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
 from asbuilt.writers.pictures.view import write_frames
-from asbuilt.writers.tables.rollout_tables import error_text, position_unit
+from asbuilt.writers.tables.rollout_tables import error_text
 
 FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 """Factors by which errors are enlarged."""

@@ -7,6 +7,7 @@ from asbuilt.identification.result.determination import Determination
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import Comparison
+from asbuilt.validation.rollout.joint_errors import position_unit
 from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.page import Card, Mood
@@ -17,20 +18,20 @@ MOODS: dict[Use, Mood] = {"yes": "good", "with care": "neutral", "no": "bad"}
 def study_cards(study: Study) -> tuple[Card, ...]:
     """Return the cards of a study."""
     return (
-        error_card(study.verdict),
+        error_card(study.verdict, position_unit(study.result.model)),
         consistency_card(study.result),
         determination_card(study.determination),
         difference_card(study.comparison),
     )
 
 
-def error_card(found: Verdict) -> Card:
-    """Return the error that decides, of the exported robot, beside CAD's."""
+def error_card(found: Verdict, unit: str) -> Card:
+    """Return the error that decides, of the exported robot, beside CAD's; `unit` of positions."""
 
     def text(value: float | None) -> str:
         if found.measure == "torque" or value is None:
             return share(value)
-        return f"{1e3 * value:.3g} mrad or mm"
+        return f"{1e3 * value:.3g} {unit}"
 
     cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
     measured = "torque error" if found.measure == "torque" else "simulation error"

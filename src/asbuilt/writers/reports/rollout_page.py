@@ -9,6 +9,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation.rollout.joint_errors import joint_table, position_unit
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
@@ -24,7 +25,7 @@ from asbuilt.writers.reports.page import (
     table_markup,
 )
 from asbuilt.writers.reports.sections.rollout import TEMPLATE, rollout_fields
-from asbuilt.writers.tables.rollout_tables import error_text, joint_table, position_unit
+from asbuilt.writers.tables.rollout_tables import error_text
 
 
 def write_rollouts(

@@ -71,6 +71,14 @@ def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
     )
 
 
+def _mass_difference(link: tuple[str, float | None, float | None]) -> float | None:
+    """Return how much heavier a link is than CAD [kg]; solvers end within a millionth."""
+    _, cad, built = link
+    if cad is None or built is None:
+        return None
+    return 0.0 if abs(built - cad) < 1e-6 * cad else built - cad
+
+
 def mass_table(masses: ExportedMasses) -> Table:
     """Return the masses link by link with their total."""
     columns = (
@@ -82,7 +90,7 @@ def mass_table(masses: ExportedMasses) -> Table:
             "kg",
             "decimal",
             4,
-            of=lambda each: None if each[1] is None else each[2] - each[1],
+            of=_mass_difference,
         ),
     )
     note = (

@@ -9,9 +9,10 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
-from asbuilt.tables import Cell, Column, Shown, Table, significant, wrapped
+from asbuilt.tables import Cell, Column, Table, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors
+from asbuilt.validation.rollout.joint_errors import in_milli, joint_table, position_unit
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.simulation.refinement import Refined
 
@@ -78,23 +79,6 @@ def rollout_table(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:
     return Table.of(rollouts, columns, TITLE.format(rollouts[0].driven_by)).filled()
 
 
-def joint_table(model: RobotModel, rollout: Rollout) -> Table:
-    """Return the errors of every joint for one horizon."""
-    unit, cad, built = position_unit(model), rollout.cad, rollout.as_built
-    errors = {"CAD": cad, "as built": built, "command": rollout.no_physics, "repeat": rollout.floor}
-    ends = {"end, CAD": cad, "end, as built": built}
-    values = {
-        **{name: None if each is None else each.rms for name, each in errors.items()},
-        **{name: None if each is None else each.final for name, each in ends.items()},
-    }
-    rows = tuple(
-        (name, *(None if each is None else _milli(float(each[k])) for each in values.values()))
-        for k, name in enumerate(model.joint_names)
-    )
-    columns = (Column("joint", width=20), *(Column(name, unit, "decimal") for name in values))
-    return Table(columns, rows, f"Rollouts of {rollout.horizon:g} s by joint").filled()
-
-
 def motion_table(model: RobotModel, rollout: Rollout) -> Table:
     """Return the errors of every recording for one horizon."""
     unit, runs = position_unit(model), rollout.by_recording
@@ -104,7 +88,7 @@ def motion_table(model: RobotModel, rollout: Rollout) -> Table:
         Column("windows", align="right"),
         *(Column(name, unit, "decimal") for name in heads),
     )
-    means = map(_milli, mean_errors(runs).values())
+    means = map(in_milli, mean_errors(runs).values())
     rows = (
         *(
             (recording_name(each.source), each.n_windows, *map(_shown, each.errors().values()))
@@ -115,31 +99,17 @@ def motion_table(model: RobotModel, rollout: Rollout) -> Table:
     return Table(columns, rows, f"Rollouts of {rollout.horizon:g} s by recording").filled()
 
 
-def position_unit(model: RobotModel) -> str:
-    """Return the unit of a thousandth of the joints' positions."""
-    kinds = {joint.is_revolute for joint in model.joints}
-    return "mrad or mm" if len(kinds) > 1 else "mrad" if kinds == {True} else "mm"
-
-
 def error_text(errors: RolloutErrors, unit: str) -> str:
     """Return the error of all joints in a unit of `position_unit`, or that it diverges."""
     return "diverges" if errors.diverged else f"{1e3 * errors.rms_all:.3g} {unit}"
 
 
 def _shown(errors: RolloutErrors | None) -> Cell:
-    return None if errors is None else _milli(errors.rms_all)
+    return None if errors is None else in_milli(errors.rms_all)
 
 
 def _tool(errors: RolloutErrors | None) -> Cell:
-    return None if errors is None or errors.tool is None else _milli(errors.tool)
-
-
-def _milli(value: float | None) -> Cell:
-    if value is None:
-        return None
-    if not np.isfinite(value):
-        return Shown(None, "diverged")
-    return Shown(1e3 * value, significant(1e3 * value))
+    return None if errors is None or errors.tool is None else in_milli(errors.tool)
 
 
 def _worst(model: RobotModel, errors: RolloutErrors | None) -> str:

@@ -120,4 +120,4 @@ def _pieces(path: Array, lower: float, upper: float, top: float, bottom: float) 
     return pieces
 
 
-sections.register("rollout", Section("Rollout", 25, TEMPLATE, _context))
+sections.register("rollout", Section("Rollout", 13, TEMPLATE, _context))

@@ -1,0 +1,45 @@
+"""Errors of simulated positions, joint by joint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.tables import Cell, Column, Shown, Table, significant
+from asbuilt.validation.rollout.rollout import Rollout
+
+
+def joint_table(model: RobotModel, rollout: Rollout) -> Table:
+    """Return the errors of every joint for one horizon."""
+    unit, cad, built = position_unit(model), rollout.cad, rollout.as_built
+    errors = {"as built": built, "CAD": cad, "command": rollout.no_physics, "repeat": rollout.floor}
+    ends = {"end, as built": built, "end, CAD": cad}
+    values = {
+        **{name: None if each is None else each.rms for name, each in errors.items()},
+        **{name: None if each is None else each.final for name, each in ends.items()},
+    }
+    rows = tuple(
+        (name, *(None if each is None else in_milli(float(each[k])) for each in values.values()))
+        for k, name in enumerate(model.joint_names)
+    )
+    columns = (
+        Column("joint", width=20),
+        *(Column(name, unit, "decimal", detail=name in ends) for name in values),
+    )
+    title = f"Position error of rollouts of {rollout.horizon:g} s, held out"
+    return Table(columns, rows, title).filled()
+
+
+def position_unit(model: RobotModel) -> str:
+    """Return the unit of a thousandth of the joints' positions."""
+    kinds = {joint.is_revolute for joint in model.joints}
+    return "mrad or mm" if len(kinds) > 1 else "mrad" if kinds == {True} else "mm"
+
+
+def in_milli(value: float | None) -> Cell:
+    """Return a length or angle in thousandths of its unit, as a cell."""
+    if value is None:
+        return None
+    if not np.isfinite(value):
+        return Shown(None, "diverged")
+    return Shown(1e3 * value, significant(1e3 * value))
