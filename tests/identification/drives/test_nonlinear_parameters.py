@@ -360,7 +360,8 @@ def test_what_a_robot_was_built_with_is_among_its_usual_terms():
         model.joints[1], drive=DriveValues(terms={"spring": {"Ks": 3.0}, "stribeck": {"Fs": 0.3}})
     )
     built = replace(model, joints=(model.joints[0], sprung, model.joints[2]))
-    assert usual_drive(built, "sensor") == DriveSet.parse("viscous,coulomb,spring:joints=2,offset")
+    own = DriveSet.parse("viscous,coulomb,spring:joints=2:rest=0,offset")
+    assert usual_drive(built, "sensor") == own
     wrist = replace(model, motor_coupling=np.array([[1.0, 0, 0], [0, 1, 0], [0, 1, 1]]))
     assert set(usual_drive(wrist, "motor").specifications) - set(
         usual_drive(model, "motor").specifications

@@ -285,16 +285,17 @@ def _rows(samples: Samples, k: int, friction: Array, lag: float) -> Array:
 def _closer(identified: EncoderPair, plain: EncoderPair) -> EncoderPair:
     """Return the pair by plain friction where that identified is of a form that the drive lacks.
 
-    Such does harm where the motion reverses; lag and hysteresis are then as sure as both agree.
+    Such does harm where the motion reverses. Lag and hysteresis, which friction is part of, remain
+    those by the friction identified, with their larger errors.
     """
     if plain.rest > RULES.better * identified.rest:
         return identified
     return replace(
         plain,
-        lag_error=float(np.hypot(plain.lag_error, plain.lag - identified.lag)),
-        hysteresis_error=float(
-            np.hypot(plain.hysteresis_error, plain.hysteresis - identified.hysteresis)
-        ),
+        lag=identified.lag,
+        lag_error=identified.lag_error,
+        hysteresis=identified.hysteresis,
+        hysteresis_error=identified.hysteresis_error,
     )
 
 

@@ -12,8 +12,8 @@ from asbuilt.dynamics.drives.term import (
 )
 from asbuilt.dynamics.drives.terms.elastic.extension_spring import ARM, GEOMETRY, LENGTH
 
-TYPICAL = {"inner": 0.02, "outer": 0.15, "angle": 1.0, "length": 0.1}
-"""Another geometry than that of springs, since two terms of one geometry have common parts."""
+ELSEWHERE = (0.02, 0.15, 1.0, 0.1, 0.0)
+"""Another place than that of springs, since two terms of one geometry have common parts."""
 
 
 @drive_term
@@ -40,7 +40,10 @@ class Cylinder(DriveTerm):
     revolute_units = ("N",)
     prismatic_units = ("N",)
     nonlinear = (
-        *(replace(each, typical=TYPICAL.get(each.name)) for each in GEOMETRY),
+        *(
+            replace(each, default=at, typical=at)
+            for each, at in zip(GEOMETRY, ELSEWHERE, strict=True)
+        ),
         NonlinearParameter("rate", 0.0, 0.0, 1e3, "1/m", fitted=False),
     )
     by_construction = True
