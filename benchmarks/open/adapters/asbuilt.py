@@ -77,13 +77,13 @@ def weights(facts: Facts) -> list[Estimate]:
 
 
 def follow(facts: Facts) -> list[Array]:
-    """Identify from commands as the how-to does, and simulate the windows of the tests."""
+    """Identify from commands, and simulate the windows of the tests."""
     known = facts.settings
     model, (training,) = fitted_recordings(
         asbuilt.load_robot(facts.description), (commanded(facts, facts.training),)
     )
     same = {"same_servos": True} if known.get("same_servos") else {}
-    study = asbuilt.identify(model, training, refine="rollout", **same)
+    study = asbuilt.identify(model, training, **same)
     servo, found = study.result.servo, []
     robot = robot_as_built(study.result, servo)
     for name, log in zip(facts.test, facts.logs(facts.test), strict=True):
