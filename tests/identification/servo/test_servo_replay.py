@@ -91,6 +91,25 @@ def test_a_replay_is_the_motion_that_mujoco_simulates_in_fine_steps(exact):
 
 
 @pytest.mark.study
+def test_episodes_of_one_log_are_replayed_one_by_one(exact):
+    """Positions and commands jump at the gap between two episodes, and the robot did not."""
+    model, recording = exact
+    order = np.r_[1500:3000, 0:1500]
+    t = recording.t + np.where(np.arange(3000) < 1500, 0.0, 10.0)
+    q, u = recording.q[order], recording.command[order]
+    assert np.abs(q[1500] - q[1499]).max() > 0.05
+    joined = replace(recording, t=t, q=q, command=u)
+    base = find_base_parameters(model, DRIVE)
+    off = np.abs(replayed(model, base, joined, SERVO, values(model)) - q)
+    assert np.sqrt(np.mean(off[1550:] ** 2)) < 1e-4
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(q.shape)
+    assert position_noise(replace(joined, q=q + noise)) == pytest.approx([1e-3] * 3, rel=0.1)
+    driven = driven_by_command(joined, replace(SERVO, delay=None))
+    found = estimate_servo(model, [driven], DRIVE, resolve_chain(SignalChain(), driven))
+    assert abs(found.servo.delay - DELAY) < 4.0 * found.errors.delay + 1e-4
+
+
+@pytest.mark.study
 def test_a_replay_that_diverges_is_none(exact):
     model, recording = exact
     base = find_base_parameters(model, DRIVE)

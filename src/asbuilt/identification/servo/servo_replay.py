@@ -24,6 +24,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.servo.block_fits import block_weights, clustered
@@ -166,42 +167,65 @@ def replayed(
 
     The first-order errors of its steps are undone.
     """
-    t, n = recording.t, model.n_joints
-    first = np.flatnonzero(np.all(np.isfinite(recording.q), axis=1) & np.isfinite(t))
-    if not first.size:
-        return None
-    h = RULES.step
-    values = parameters[10 * model.n_links :].reshape(n, -1)
-    robot = SimulatedRobot(model, base.drive, values, servo).centred(h)
-    driving = DriveSignal.of(recording, "command")
-    engine = Trajectories(model, base)
-    q, v = recording.q[first[:1]], np.zeros((1, n))
-    begin, end = float(t[first[0]]), float(np.nanmax(t))
-    total = int(np.ceil((end - begin) / h)) + 1
+    links = parameters[: 10 * model.n_links]
+    values = parameters[10 * model.n_links :].reshape(model.n_joints, -1)
+    robot = SimulatedRobot(model, base.drive, values, servo).centred(RULES.step)
+    driving, engine = DriveSignal.of(recording, "command"), Trajectories(model, base)
     out = np.full(recording.q.shape, np.nan)
+    runs = _runs(recording)
+    for number, rows in enumerate(runs):
+        # A log begins at rest; after a gap the robot moves already.
+        step = recording.t[rows[1]] - recording.t[rows[0]]
+        speed = (recording.q[rows[1]] - recording.q[rows[0]]) / step if number else 0.0
+        state = recording.q[rows[:1]], np.full((1, model.n_joints), speed)
+        t = recording.t[rows]
+        for fine, q in _simulated(engine, robot, driving, t, state, links):
+            if not np.all(np.isfinite(q)):
+                return None
+            at = rows[(t >= fine[0]) & (t <= fine[-1])]
+            for k in range(model.n_joints):
+                out[at, k] = np.interp(recording.t[at], fine, q[:, k])
+    return out if runs else None
+
+
+def _simulated(
+    engine: Trajectories,
+    robot: SimulatedRobot,
+    driving: DriveSignal,
+    t: Array,
+    state: tuple[Array, Array],
+    links: Array,
+) -> Iterator[tuple[Array, Array]]:
+    """Yield times (L,) and simulated positions (L, n) from a state (q, qd) on, a span at a time."""
+    q, v = state
+    total = int(np.ceil((t[-1] - t[0]) / RULES.step)) + 1
     for done in range(0, total, RULES.steps_at_once):
         steps = min(RULES.steps_at_once, total - done)
-        start = begin + done * h
+        start = float(t[0]) + done * RULES.step
         windows = Windows(
-            recording.source,
-            steps * h,
-            1.0 / h,
+            "replay",
+            steps * RULES.step,
+            1.0 / RULES.step,
             np.array([start]),
-            np.broadcast_to(q[:, None], (1, steps + 1, n)),
+            np.broadcast_to(q[:, None], (1, steps + 1, q.shape[1])),
             q,
             v,
             driving,
-            longest_step=h,
+            longest_step=RULES.step,
         )
-        motion = engine.simulate(robot, windows, parameters[: 10 * model.n_links])
-        if not np.all(np.isfinite(motion.q)):
-            return None
-        inside = (t >= start) & (t <= start + steps * h)
-        fine = start + h * np.arange(steps + 1)
-        for k in range(n):
-            out[inside, k] = np.interp(t[inside], fine, motion.q[0, :, k])
+        motion = engine.simulate(robot, windows, links)
+        yield np.asarray(start + RULES.step * np.arange(steps + 1)), np.asarray(motion.q[0])
         q, v = motion.q[:, -1], motion.v[:, -1]
-    return out
+
+
+def _runs(recording: Recording) -> list[Indices]:
+    """Return the rows with positions, apart where the log has gaps; runs of two rows and more."""
+    rows = np.flatnonzero(np.all(np.isfinite(recording.q), axis=1) & np.isfinite(recording.t))
+    steps = np.diff(recording.t[rows])
+    if not steps.size:
+        return []
+    parts = np.split(rows, np.flatnonzero(steps > GAP * np.median(steps)) + 1)
+    return [part for part in parts if part.size > 1]
 
 
 def position_noise(recording: Recording) -> Array:
@@ -215,13 +239,17 @@ def position_noise(recording: Recording) -> Array:
     >>> position_noise(Recording(t=t, q=q, tau=q)).round(4).tolist()
     [0.001]
     """
-    q = recording.q[np.all(np.isfinite(recording.q), axis=1)]
-    if len(q) < RULES.window:
+    runs = [rows for rows in _runs(recording) if rows.size >= RULES.window]
+    if not runs:
         return np.zeros(recording.q.shape[1])
-    frequency, density = signals.welch(
-        q, 2.0, window="hann", nperseg=RULES.window, detrend="constant", axis=0
-    )
-    return np.asarray(np.sqrt(np.mean(density[frequency > RULES.above], axis=0)))
+    parts = []
+    for rows in runs:
+        frequency, density = signals.welch(
+            recording.q[rows], 2.0, window="hann", nperseg=RULES.window, detrend="constant", axis=0
+        )
+        parts.append(np.mean(density[frequency > RULES.above], axis=0))
+    weights = [rows.size for rows in runs]
+    return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
 
 
 def _servo_of(recording: Recording, servo: PositionServo) -> PositionServo:
