@@ -366,9 +366,7 @@ def test_wrong_calls_name_the_place_and_the_cure(
 def test_what_is_missing_is_told_before_any_work(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "asbuilt.workflow.study.identify", lambda *_, **__: pytest.fail("the study ran")
-    )
+    monkeypatch.setattr("asbuilt.identify", lambda *_, **__: pytest.fail("the study ran"))
     status, _, err = call(
         capsys, "identify", "scara", recorded["scara train"], "--payload", "missing.csv"
     )

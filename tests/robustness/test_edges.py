@@ -172,7 +172,7 @@ def test_want_of_memory_is_said_with_size_and_limit(
     def greedy(*_: object) -> None:
         np.empty((1 << 40, 1 << 10))
 
-    monkeypatch.setattr("asbuilt.experiment.quality.checks.check_recording", greedy)
+    monkeypatch.setattr("asbuilt.check_recording", greedy)
     path = tmp_path / "log.csv"
     path.write_text(corpus.csv_log())
     status, _, err = call(capsys, "check", "two-link", path)
