@@ -39,7 +39,7 @@ from asbuilt.workflow.fleet.drift.drift import FleetDrift, conclude_drift, type_
 from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 TYPES = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
-CHANGES = ("payload", "friction", "gain", "mounting")
+CHANGES = ("payload", "friction", "gain", "tilt")
 MOTIONS, SECONDS, RATE = 24, 15.0, 25.0
 NOISE = 0.02
 FRICTION = 0.03
@@ -148,7 +148,7 @@ class VirtualMember:
                     here[10 * (n - 1) : 10 * n] += tool.parameters
                 elif self.change == "gain":
                     gains[joint] = 1.0 + 0.05 * sign
-                elif self.change == "mounting":
+                elif self.change == "tilt":
                     tilt = np.deg2rad(0.3) * axis
             beta = base.values(here)
             m = int(rng.integers(MOTIONS))
@@ -212,13 +212,13 @@ def measured(members: dict[str, VirtualMember], drift: FleetDrift) -> dict[str, 
     for change in CHANGES:
         ids = [name for name, each in members.items() if each.change == change]
         hit = [by_id[name] for name in ids if by_id[name].changed]
-        named = Counter(each.what[0].source for each in hit if each.what)
+        named = Counter(each.what[0].effect for each in hit if each.what)
         late = [
             abs((datetime.fromisoformat(str(each.when)) - START).days - members[each.id].when)
             for each in hit
         ]
         sizes = [
-            each.what[0].estimate for each in hit if each.what and each.what[0].source == change
+            each.what[0].estimate for each in hit if each.what and each.what[0].effect == change
         ]
         found[change] = {
             "robots": len(ids),

@@ -53,7 +53,7 @@ from .identification.result.summary import summarise as summarise
 from .monitoring.observer import Observer as Observer
 from .monitoring.thresholds import Thresholds as Thresholds
 from .monitoring.thresholds import set_thresholds as set_thresholds
-from .validation.attribution.attribution import attribute as attribute
+from .validation.attribution.attribute import attribute as attribute
 from .validation.comparison.comparison import compare as compare
 from .validation.comparison.drift import compare_results as compare_results
 from .validation.prediction import validate_samples as validate_samples

@@ -19,6 +19,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.bodies import perturbed_links
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.identification.effects.search import find_effects
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult
@@ -76,5 +77,8 @@ def identified(
         prepare_samples(recorded(robot, causes, seed=seed, friction=friction), SignalChain()),
         "blocks:2s:3",
     )
-    result = identify_samples(model, train, base=base)
-    return replace(result, cause_data=gather_cause_data(model, base, [train], [held]))
+    effects = find_effects(model, base.drive, [train], applied=("tilt",))
+    base = find_base_parameters(effects.model, effects.drive)
+    result = identify_samples(effects.model, train, base=base)
+    data = gather_cause_data(effects.model, base, [train], [held])
+    return replace(result, cause_data=data, effects=effects.found)

@@ -16,7 +16,7 @@ from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.validation.attribution.attribution import attribute
+from asbuilt.validation.attribution.attribute import attribute
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study, identify
 

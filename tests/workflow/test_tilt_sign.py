@@ -23,7 +23,7 @@ pytestmark = pytest.mark.study
 
 DEGREES = 3.0
 CLOSE = 0.5
-"""What attribution may be off [deg]: its prior pulls tilts toward none."""
+"""What a tilt may be off [deg]: the log is noisy, and masses are free within CAD."""
 AXES = ("x", "y")
 
 
@@ -46,12 +46,6 @@ def study(axis: int, effects: str = "auto") -> Study:
     return identify(model, log, effects=effects)
 
 
-def turned(text: str, between: str) -> dict[str, float]:
-    """Return degrees by axis of a sentence on a tilt."""
-    found = re.findall(rf"(-?[\d.]+) {re.escape(between)} [\d.]+ deg about ([xy])", text)
-    return {name: float(value) for value, name in found}
-
-
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_effect_reads_as_the_world(axis: int) -> None:
     (found,) = (each for each in study(axis).effects if each.effect == "tilt")
@@ -64,9 +58,10 @@ def test_the_effect_reads_as_the_world(axis: int) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_attribution_reads_as_the_world(axis: int) -> None:
-    attribution = study(axis, "none").attribution
-    assert attribution is not None
-    (sentence,) = (each for each in attribution.findings if "tilted by" in each)
-    angles = turned(sentence, "+/-")
-    assert angles[AXES[axis]] == pytest.approx(DEGREES, abs=CLOSE)
-    assert angles[AXES[1 - axis]] == pytest.approx(0.0, abs=CLOSE)
+    for effects, where in (("find", "Not in the model"), ("auto", "Corrected in this result")):
+        attribution = study(axis, effects).attribution
+        assert attribution is not None
+        (sentence,) = (each for each in attribution.findings if "base tilt" in each)
+        assert sentence.startswith(where)
+        (found,) = (each for each in study(axis, effects).effects if each.effect == "tilt")
+        assert found.text in sentence

@@ -1,5 +1,5 @@
+from .attribution.attribute import attribute as attribute
 from .attribution.attribution import Attribution as Attribution
-from .attribution.attribution import attribute as attribute
 from .comparison.cad_tolerance import CadTolerance as CadTolerance
 from .comparison.comparison import Comparison as Comparison
 from .comparison.comparison import compare as compare

@@ -10,7 +10,7 @@ import pytest
 from chromium import chromium
 
 from asbuilt.identification.result.determination import determination
-from asbuilt.validation.attribution.attribution import attribute
+from asbuilt.validation.attribution.attribute import attribute
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.writers.reports.compare_files import CadVerdict, write_comparison
 
@@ -49,7 +49,7 @@ def test_page_and_text_begin_with_what_matters(files: dict[str, Path]) -> None:
     order = (
         "parameters differ from CAD",
         "Causes of the CAD error",
-        "Nested models",
+        "Shares of the effects",
         "first moment along z, links 4 to 7",
     )
     places = [page.index(words) for words in order]

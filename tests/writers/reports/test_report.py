@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from chromium import chromium
 
-from asbuilt.validation.attribution.attribution import attribute
+from asbuilt.validation.attribution.attribute import attribute
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.cards import study_cards

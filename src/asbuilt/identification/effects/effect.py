@@ -18,7 +18,7 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.torque_prediction import parameter_torque
 from asbuilt.registry import Registry
-from asbuilt.tables import plus_minus
+from asbuilt.tables import plus_minus, significant
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -135,8 +135,15 @@ class Effect(ABC):
         return self.text_of(size, error, revolute=revolute)
 
     def text_of(self, size: float, error: float | None, *, revolute: bool) -> str:
-        """Return a size with its standard error, if any, and unit as text."""
-        return f"{plus_minus(size, error)} {self.unit(revolute)}".rstrip()
+        """Return a size with its standard error, else with two digits, and unit as text."""
+        scale, unit = self.shown_in(revolute)
+        size *= scale
+        text = significant(size, 2) if error is None else plus_minus(size, scale * error)
+        return f"{text} {unit}".rstrip()
+
+    def shown_in(self, revolute: bool) -> tuple[float, str]:
+        """Return the factor and the unit in which its size is read."""
+        return 1.0, self.unit(revolute)
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of its size at a revolute or prismatic joint."""

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.search import Effects
-from asbuilt.tables import significant
 
 APPLY = Cure("identify with it", {"effects": "auto"})
 
@@ -71,11 +68,11 @@ def _sizes(effects: Effects, key: str, rows: list[tuple[float, int | None]]) -> 
     sized, never = list[str](), list[str]()
     for size, joint in rows:
         at = "" if joint is None else f" at {_name(effects, joint)}"
-        if not np.isfinite(size):
+        if size >= EFFECTS[key].farthest:
             never.append(at.removeprefix(" at "))
             continue
         revolute = joint is None or effects.model.joints[joint].is_revolute
-        text = EFFECTS[key].text_of(float(significant(size, 2)), None, revolute=revolute)
+        text = EFFECTS[key].text_of(size, None, revolute=revolute)
         sized.append(f"below {text}{at}")
     if never:
         sized.append("of any size" + (f" at {joined(never)}" if any(never) else ""))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asbuilt.tables import significant
@@ -48,11 +47,12 @@ class FoundEffect:
         return improvement(self.error_before, self.error_after)
 
 
+def found_text(title: str, joint: str | None, size: str, before: float, after: float) -> str:
+    """Return the sentence on an effect of a size, with the torque errors without and with it."""
+    where = f"{title} at {joint}" if joint else title
+    return f"{where} {size}: {improvement(before, after)}"
+
+
 def improvement(before: float, after: float) -> str:
     """Return relative torque errors without and with an effect as text."""
     return f"torque error {significant(100 * before, 2)} -> {significant(100 * after, 2)} %"
-
-
-def tilts(effects: Sequence[FoundEffect]) -> bool:
-    """Return whether a base tilt is in the model."""
-    return any(each.effect == "tilt" and each.in_model for each in effects)

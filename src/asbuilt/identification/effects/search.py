@@ -21,7 +21,7 @@ from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect
 from asbuilt.identification.effects.families.drive_terms import DriveEffect
-from asbuilt.identification.effects.found_effect import FoundEffect, improvement
+from asbuilt.identification.effects.found_effect import FoundEffect, found_text
 from asbuilt.identification.effects.gathering import At, Candidate, gather_equations
 from asbuilt.identification.effects.lacking import Lacking
 from asbuilt.identification.effects.selection import RULES, Prior, Selection, Trial
@@ -303,17 +303,16 @@ class _Search:
         return _Removed((key, None), np.array([start]), (0.0, 0.0))
 
     def _settled(self, removed: Sequence[_Removed]) -> tuple[list[_Removed], Selection]:
-        """Return effects with the values that leave nothing of them, and the selection beside them.
+        """Return effects with values that leave next to nothing, and the selection about these.
 
         All others are asked again beside columns that stay free, so that none takes what the first
-        linearisation has left.
+        linearisation has left. The last step, about the same values, is for `_advanced`.
         """
-        own = list(removed)
+        nearer = list(removed)
         for _ in range(LIMITS.rounds):
-            selection = self._selection(own)
-            before = own
-            own = [_advanced(each, selection) for each in before]
-            moved = [np.linalg.norm(a.values - b.values) for a, b in zip(own, before, strict=True)]
+            own, selection = nearer, self._selection(nearer)
+            nearer = [_advanced(each, selection) for each in own]
+            moved = [np.linalg.norm(a.values - b.values) for a, b in zip(nearer, own, strict=True)]
             if all(step < each.effect.settled for step, each in zip(moved, own, strict=True)):
                 break
         return own, selection
@@ -399,10 +398,13 @@ class _Search:
             error_before=before,
             error_after=after,
             alternatives=others,
-            text=effect.title
-            + (f" at {joint}" if joint else "")
-            + f" {effect.size_text(trial.values, trial.covariance, revolute=revolute)}:"
-            f" {improvement(before, after)}",
+            text=found_text(
+                effect.title,
+                joint,
+                effect.size_text(trial.values, trial.covariance, revolute=revolute),
+                before,
+                after,
+            ),
         )
 
 

@@ -98,7 +98,7 @@ class Trial:
     @property
     def worth(self) -> float:
         """Fall of the cost less what as many columns take away by chance."""
-        return self.gain - len(self.values) * float(np.log(max(self.gain, 1.0)))
+        return worth_of(self.gain, len(self.values))
 
     def is_sure(self, n_candidates: int, robot: Described) -> bool:
         """Return whether the effect is no chance, is felt, and has a size that robots have."""
@@ -444,6 +444,11 @@ class Selection:
             if gain >= RULES.sure * len(c):
                 found.append((each, gain))
         return found
+
+
+def worth_of(gain: float, n_columns: int) -> float:
+    """Return a fall of the cost less what as many columns take away by chance."""
+    return gain - n_columns * float(np.log(max(gain, 1.0)))
 
 
 def _look_alike(taken: Trial, other: Trial) -> bool:

@@ -1,8 +1,8 @@
-"""Data of a recording for effects that CAD lacks, as one triangular factor per joint."""
+"""Torques of a recording and their columns, fitted and held out, as one triangle per joint."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,16 +10,12 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.codec import stored
-from asbuilt.description.model import PLAIN_TERMS, RobotModel
-from asbuilt.description.rotation import axes_across
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.information.rows import JointFactors, SampleBlock, sample_blocks
+from asbuilt.identification.information.rows import JointFactors, sample_blocks
 from asbuilt.identification.information.triangular import (
     packed_triangle,
     unpacked_triangle,
@@ -30,9 +26,6 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-RICHER_TERMS = ("load_friction", "quadratic", "stribeck")
-"""Further friction terms that are linear, or linear with their default nonlinear parameter."""
-TILTS = ("tilt 1", "tilt 2")
 HELD_BACK = 3
 """Without held-out recordings every so many blocks of the data used are held out."""
 TRIANGLES = stored(
@@ -46,16 +39,11 @@ TRIANGLES = stored(
 class CauseData:
     """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of fitted and held-out data.
 
-    The named columns A are the base parameters of the links, plain and some further drive terms,
-    and two angles [rad] of base tilt about `tilt_axes` (2, 3) of the root frame: the torque of the
-    links by design under gravity `g x axis`. Joint k has the columns `support[k]`; `fitted[k]` and
-    `judged[k]` (held out) have shape (p_k + 1, p_k + 1). A change x of the parameters changes the
-    torque by `A x`, so payload, gains, friction and other CAD values are linear here.
+    The named columns A are those of the base parameters of a result. Joint k has the columns
+    `support[k]`; `fitted[k]` and `judged[k]` (held out) have shape (p_k + 1, p_k + 1). A change x
+    of the parameters changes the torque by `A x`.
     """
 
-    drive: DriveSet = field(
-        metadata=stored(encode=lambda drive: list(drive.specifications), decode=DriveSet.parse)
-    )
     joint_names: tuple[str, ...] = field(metadata=stored(key="joints"))
     names: tuple[str, ...] = field(metadata=stored(key="columns"))
     support: tuple[Indices, ...]
@@ -64,7 +52,6 @@ class CauseData:
     n_fitted: int
     n_judged: int
     judged_by: str
-    tilt_axes: Array
 
     def __post_init__(self) -> None:
         for support, *factors in zip(self.support, self.fitted, self.judged, strict=True):
@@ -75,7 +62,6 @@ class CauseData:
                         f" {factor.shape}; identify again"
                     )
                 factor.setflags(write=False)
-        self.tilt_axes.setflags(write=False)
 
     @property
     def n_joints(self) -> int:
@@ -108,12 +94,6 @@ class CauseData:
         )
 
 
-def usual_terms() -> tuple[DriveTerm, ...]:
-    """Return the plain and some richer drive terms, at every joint."""
-    known = available_terms()
-    return tuple(known[key] for key in (*PLAIN_TERMS, *RICHER_TERMS) if key in known)
-
-
 def gather_cause_data(
     model: RobotModel,
     base: BaseParameters,
@@ -140,53 +120,29 @@ def gather_cause_data(
     IdentifiabilityError
         If no samples are left to fit, or none to hold out.
     """
-    drive = base.drive
-    for term in usual_terms():
-        if term.key not in drive.keys or term.key in PLAIN_TERMS:
-            drive = drive.with_term(term)  # at every joint, though the result has it at some
-    links = 10 * model.n_links
-    columns = np.concatenate(
-        [
-            base.columns[base.columns < links],
-            links + np.arange(model.n_joints * drive.columns_per_joint),
-        ]
-    )
-    names = [base.standard_names[j] for j in base.columns if j < links]
-    names += [name for k in range(model.n_joints) for name in drive.names(k + 1)]
-    plan = RegressorPlan.of(model, drive, columns, spare_rows=len(TILTS) + 1)
-    axes = axes_across(model.gravity)
-    tilted = [model.with_gravity(np.cross(model.gravity, axis)) for axis in axes]
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
     two = JointFactors(plan), JointFactors(plan)
-
-    def turned(part: SampleBlock) -> Callable[[slice], list[Array]]:
-        q = part.samples.q
-        return lambda span: [gravity_torque(robot, q[span]) for robot in tilted]
-
     sources: dict[str, None] = {}
     with one_blas_thread():
         for part in sample_blocks(model, judged, block_seconds):
             sources[part.samples.source] = None
-            two[1].add(part, turned(part))
+            two[1].add(part)
         for number, part in enumerate(sample_blocks(model, fitted, block_seconds)):
-            two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(
-                part, turned(part)
-            )
+            held_back = not sources and number % HELD_BACK == HELD_BACK - 1
+            two[1 if held_back else 0].add(part)
         factors = [reduction.factors() for reduction in two]
     if not two[0].n_samples or not two[1].n_samples:
         raise IdentifiabilityError(
             f"too few samples of {model.name} to compare causes: {two[0].n_samples} to fit,"
             f" {two[1].n_samples} held out"
         )
-    tilts = np.arange(len(names), len(names) + len(TILTS))
     return CauseData(
-        drive=drive,
         joint_names=model.joint_names,
-        names=(*names, *TILTS),
-        support=tuple(np.concatenate([places, tilts]) for places in plan.support),
+        names=base.names,
+        support=plan.support,
         fitted=factors[0],
         judged=factors[1],
         n_fitted=two[0].n_samples,
         n_judged=two[1].n_samples,
         judged_by=", ".join(sources) or f"every {HELD_BACK}rd block of the data used",
-        tilt_axes=axes,
     )

@@ -162,8 +162,6 @@ class IdentificationResult:
         that were logged.
     scatter
         Errors of the time blocks, by which parameters are tested; None without blocks.
-    corrected
-        Causes of the CAD error that the model of the result has already (`mounting`: base tilt).
     trained
         Base parameters (p,) of the fit that `validation` is of, if `parameters` are of a further
         fit to everything; else None.
@@ -210,7 +208,6 @@ class IdentificationResult:
     servo: PositionServo | None = None
     servo_errors: ServoErrors | None = None
     scatter: BlockScatter | None = None
-    corrected: tuple[str, ...] = ()
     trained: Array | None = None
     bias: Array | None = None
     effects: tuple[FoundEffect, ...] = ()
@@ -510,7 +507,7 @@ class IdentificationResult:
         """
         left_out = (
             *("covariance", "textbook_covariance", "singular_values", "cause_data"),
-            *("free", "scatter", "trained", "corrected", "bias"),
+            *("free", "scatter", "trained", "bias"),
         )
         document = self._document() | {"encoders": [each.as_dict() for each in self.encoders]}
         return {name: value for name, value in document.items() if name not in left_out}

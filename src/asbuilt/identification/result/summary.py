@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 EXPRESSION_WIDTH = 34
 MOST_PARAMETERS = 10
+AS_BUILT = "as built"
 DROPPED = "dropped"
 """Text for the error of a parameter that the estimator set to zero."""
 
@@ -301,17 +302,13 @@ def _joint_table(result: IdentificationResult) -> Table:
     kinds = ["N m" if joint.is_revolute else "N" for joint in result.model.joints]
     mixed = len(set(kinds)) > 1
     unit = "" if mixed else kinds[0]
-    several = len(result.validation) > 1
     shown = result.validation[0] if result.validation else result.train
     errors = {
         "training": result.train,
-        **{
-            f"as built {i}" if several else "as built": e
-            for i, e in enumerate(result.validation, 1)
-        },
+        **{f"as built {i}" if i > 1 else AS_BUILT: e for i, e in enumerate(result.validation, 1)},
         "CAD": result.cad,
     }
-    first = f"as built{' 1' if several else ''}" if result.validation else "training"
+    first = AS_BUILT if result.validation else "training"
     columns = (
         Column("joint", width=30),
         *([Column("unit")] if mixed else []),

@@ -15,9 +15,9 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.drives.drive_choice import DriveChoice
+from asbuilt.identification.effects.as_identified import as_identified
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.effect_findings import effect_findings
-from asbuilt.identification.effects.found_effect import tilts
 from asbuilt.identification.effects.search import Effects
 from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit
@@ -26,7 +26,8 @@ from asbuilt.identification.result.as_built_parameters import mass_findings
 from asbuilt.identification.result.determination import spring_findings
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.attribution.attribution import Attribution, attribute
+from asbuilt.validation.attribution.attribute import attribute
+from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict_findings, cause_findings
 from asbuilt.validation.generalisation.consolidation import consolidated
@@ -98,16 +99,17 @@ def conclude_study(
         notes=_notes(fits, cutoffs),
         servo=None if fits.servo is None else fits.servo.servo,
         servo_errors=None if fits.servo is None else fits.servo.errors,
-        corrected=("mounting",) if tilts(fits.effects.found) else (),
-        effects=named,
         encoders=fits.encoders,
         trained=fits.validated.estimate.beta if fits.refitted else None,
     )
     lacking = fits.effects.lacking
     omitted = None if lacking is None else lacking.bias(fits.final)
     result = conclude(replace(fits.final, omitted=omitted))
+    result = replace(result, effects=tuple(as_identified(each, result) for each in named))
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
+    if attribution and attribution.payload and options.wanted_effects.named:
+        result = replace(result, effects=(*result.effects, attribution.payload))
     validations = tuple(
         with_exported(result.of_training, each, samples)
         for each, samples in zip(validations, held, strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -129,41 +129,37 @@ def fit_study(
     report
         Called with the name of a step and the fraction done.
     """
-    given = (options, servo, parts, report)
-    fits = _divided_or_not(model, prepared, *given)
+
+    def fitted(prepared: Prepared) -> Fits:
+        return _fitted(model, prepared, options, servo, parts, report)
+
+    fits = _divided_or_not(fitted, prepared)
     if all(each.encoder is None for each in fits.samples):
         return fits
     pairs = _encoders(fits, fits.samples)
     if not any(each.determined for each in pairs):
         return replace(fits, encoders=pairs)
-    stiff = _divided_or_not(model, _on_link(prepared, pairs, fits.final), *given)
+    # Links that move by their own encoder are other samples, with effects of their own.
+    stiff = _divided_or_not(fitted, _on_link(prepared, pairs, fits.final))
     if _torque_error(stiff) >= _torque_error(fits):
         return replace(fits, encoders=pairs)
     return replace(stiff, encoders=_encoders(stiff, fits.samples))
+
+
+def _divided_or_not(fitted: Callable[[Prepared], Fits], prepared: Prepared) -> Fits:
+    """Fit without what was held out by default, if that leaves enough."""
+    if prepared.whole:
+        try:
+            return fitted(prepared)
+        except IdentifiabilityError:
+            prepared = prepared.undivided()
+    return fitted(prepared)
 
 
 def _torque_error(fits: Fits) -> float:
     """Return the relative torque error on what was held out, else on what was fitted."""
     judged = fits.judged(fits.prepared.held_out or fits.prepared.training)
     return float(np.mean([each.metrics_as_built.relative_error**2 for each in judged]))
-
-
-def _divided_or_not(
-    model: RobotModel,
-    prepared: Prepared,
-    options: StudyOptions,
-    servo: ServoEstimate | None,
-    parts: SimulatedParts,
-    report: Progress,
-) -> Fits:
-    """Fit without what was held out by default, if that leaves enough."""
-    given = (options, servo, parts, report)
-    if prepared.whole:
-        try:
-            return _fitted(model, prepared, *given)
-        except IdentifiabilityError:
-            prepared = prepared.undivided()
-    return _fitted(model, prepared, *given)
 
 
 def _encoders(fits: Fits, samples: Sequence[Samples]) -> tuple[EncoderPair, ...]:

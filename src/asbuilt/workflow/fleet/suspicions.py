@@ -11,10 +11,10 @@ import numpy as np
 
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.effects.groups import drive_places
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.design_values import design_values
-from asbuilt.workflow.fleet.drift.sources import drive_places
 from asbuilt.workflow.fleet.ledger.entry import Entry
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
 

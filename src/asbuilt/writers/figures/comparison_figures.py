@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from asbuilt.identification.effects.groups import group_title
 from asbuilt.tables import significant
 from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.attribution.causes import CAUSES
 from asbuilt.validation.comparison.comparison import Comparison
 from asbuilt.validation.comparison.drift import Drift
 from asbuilt.writers.figures.figure_style import (
@@ -27,14 +27,14 @@ from asbuilt.writers.figures.figure_style import (
 CAUSE_COLOURS: dict[str, str] = {
     "offset": "#F0E442",
     "friction": BLUE,
-    "richer friction": "#56B4E9",
     "armature": "#CC79A7",
     "payload": AS_BUILT,
-    "mounting": GREEN,
-    "gain": ORANGE,
+    "spring": GREEN,
     "links": "#7A6A53",
 }
-"""One colour per cause, after Okabe and Ito (2008)."""
+"""One colour per effect that is common, after Okabe and Ito (2008)."""
+FURTHER = (ORANGE, "#56B4E9")
+"""Colours of other effects, in turn."""
 MOST_DIFFERENCES = 20
 """Parameters in the figure of differences."""
 UNEXPLAINED = "#D5D9DE"
@@ -55,9 +55,10 @@ def attribution_figure(attribution: Attribution) -> Figure:
     title = f"{attribution.robot}: causes of the torque error of CAD (RMS on top)"
     with drawn(1.05 * n + 3.2, 4.2, title) as (figure, (axis,)):
         above, below = np.zeros(n), np.zeros(n)
-        for each in attribution.shares:
-            colour, name = CAUSE_COLOURS[each.cause], CAUSES[each.cause]
-            ink = "white" if each.cause in ("friction", "payload", "links", "mounting") else INK
+        for number, each in enumerate(attribution.shares):
+            colour = CAUSE_COLOURS.get(each.effect, FURTHER[number % len(FURTHER)])
+            name = group_title(each.effect)
+            ink = "white" if each.effect in ("friction", "payload", "links", "spring") else INK
             up, down = np.maximum(each.share, 0.0), np.minimum(each.share, 0.0)
             axis.bar(place, 100 * up, bottom=100 * above, color=colour, label=name, **bar)
             axis.bar(place, 100 * down, bottom=100 * below, color=colour, **bar)

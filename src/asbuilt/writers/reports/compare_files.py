@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from asbuilt.findings import joined
+from asbuilt.identification.effects.groups import group_title
 from asbuilt.identification.result.determination import Determination
 from asbuilt.tables import share, significant, wrapped
 from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.attribution.causes import CAUSES
 from asbuilt.validation.comparison.comparison import Comparison, recording_name
 from asbuilt.validation.comparison.drift import Drift
 from asbuilt.validation.comparison.torque_change import joint_table
@@ -93,7 +93,7 @@ class CadVerdict:
         if cad is None:
             return f"As built the torque error is {error} on {source}; {counts}."
         causes = () if self.attribution is None else self.attribution.chosen[:2]
-        why = f", most by {joined([CAUSES[cause] for cause in causes])}" if causes else ""
+        why = f", most by {joined([group_title(key) for key in causes])}" if causes else ""
         return (
             f"{comparison.cad_source} is off by {share(cad.relative_error)} of the torque (as built"
             f" {error}){why}; {counts}."
@@ -141,7 +141,6 @@ class CadVerdict:
                     " the table below",
                 ),
                 table_markup(found.share_table(), "shares"),
-                table_markup(found.step_table(), "steps"),
             )
             drawn = image_markup(
                 figure_address(difference_figure(comparison)),

@@ -93,13 +93,13 @@ def test_the_robots_that_changed_are_named_and_dated(drift: FleetDrift) -> None:
 
 def test_the_friction_that_grew_is_named_with_its_size(drift: FleetDrift) -> None:
     (found,) = next(each for each in drift.robots if each.id == "R2").what[:1]
-    assert (found.source, found.joint, found.unit) == ("friction", 1, "%")
+    assert (found.effect, found.joint, found.unit) == ("friction", MODEL.joint_names[0], "%")
     assert found.estimate == pytest.approx(40.0, abs=8.0)
 
 
 def test_the_torque_of_a_payload_is_that_of_its_weight_and_inertia(drift: FleetDrift) -> None:
     found = next(each for each in drift.robots if each.id == "R1").what[0]
-    assert found.source == "payload"
+    assert found.effect == "payload"
     with_tool, without = _robot(1, CHANGE), _robot(1, 0)
     squares, n = 0.0, 0
     for day in range(DAYS):

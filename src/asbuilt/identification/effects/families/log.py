@@ -30,11 +30,9 @@ samples left out, another unit."""
 class _OfLog(Effect):
     of_log = True
 
-    def text_of(self, size: float, error: float | None, *, revolute: bool) -> str:
-        """Return the size with its standard error and unit, shares in percent."""
-        if not self.of_shares:
-            return super().text_of(size, error, revolute=revolute)
-        return f"{plus_minus(100.0 * size, None if error is None else 100.0 * error)} %"
+    def shown_in(self, revolute: bool) -> tuple[float, str]:
+        """Return the factor and the unit in which its size is read: shares in percent."""
+        return (100.0, "%") if self.of_shares else super().shown_in(revolute)
 
 
 class _OfTorque(_OfLog):
@@ -129,10 +127,9 @@ class Zero(_OfLog):
         """Return the unit of positions."""
         return "rad" if revolute else "m"
 
-    def text_of(self, size: float, error: float | None, *, revolute: bool) -> str:
-        """Return the size in degrees or mm."""
-        scale, unit = (float(np.rad2deg(1.0)), "deg") if revolute else (1e3, "mm")
-        return f"{plus_minus(scale * size, None if error is None else scale * error)} {unit}"
+    def shown_in(self, revolute: bool) -> tuple[float, str]:
+        """Return the factor and the unit in which its size is read: degrees or mm."""
+        return (float(np.rad2deg(1.0)), "deg") if revolute else (1e3, "mm")
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the zero position of each joint."""

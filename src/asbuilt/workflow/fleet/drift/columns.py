@@ -103,11 +103,14 @@ class FleetColumns:
         return total
 
     def energies(self, grams: Sequence[Array], x: Array, beta: Array) -> Array:
-        """Return the sum of squares of the torque that a change x makes at each joint, (n,)."""
+        """Return the sum of squares of a torque at each joint, (n,).
+
+        It is that of a change x (size,), or of the error about beta, too, times a last element.
+        """
         found = np.empty(self.n_joints)
         for k, gram in enumerate(grams):
             L = self.map_to(k, beta, len(gram) > len(self.support[k]) + 1)
-            y = L[:, :-1] @ x
+            y = L[:, : len(x)] @ x
             found[k] = max(float(y @ gram @ y), 0.0)
         return found
 
@@ -126,11 +129,7 @@ class FleetColumns:
 
     def residual_energy(self, grams: Sequence[Array], beta: Array) -> Array:
         """Return `|tau_k - W_k beta|^2` of every joint, (n,)."""
-        found = np.empty(self.n_joints)
-        for k, gram in enumerate(grams):
-            v = np.append(-beta[self.support[k]], 1.0)
-            found[k] = max(float(v @ gram[: len(v), : len(v)] @ v), 0.0)
-        return found
+        return self.energies(grams, np.append(np.zeros(self.size), 1.0), beta)
 
 
 def _with_error(basis: Array) -> Array:

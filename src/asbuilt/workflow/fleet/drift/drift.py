@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import plain
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.findings import Finding, ranked
+from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
 from asbuilt.workflow.fleet.drift.columns import FleetColumns
 from asbuilt.workflow.fleet.drift.days import Day, by_day, day_of
 from asbuilt.workflow.fleet.drift.directions import Directions, find_directions
-from asbuilt.workflow.fleet.drift.explanation import SourceChange, explain_change
+from asbuilt.workflow.fleet.drift.explanation import explain_change
 from asbuilt.workflow.fleet.drift.variation import History, Variation, estimate_variation
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.options import FleetDriftOptions
@@ -48,7 +50,7 @@ class RobotDrift:
     false_discovery
         Rate at which it would be the last robot to be named.
     what
-        Sources of the change, the one with the most torque first.
+        Effects that changed, the one with the most torque first.
     days, distances
         Each day and its distance from the robot's reference, RMS over the directions in units of
         natural variation: 1 is usual.
@@ -63,26 +65,14 @@ class RobotDrift:
     when: str | None
     p_value: float | None
     false_discovery: float | None
-    what: tuple[SourceChange, ...]
+    what: tuple[FoundEffect, ...]
     days: tuple[str, ...]
     distances: tuple[float, ...]
 
     def as_document(self) -> dict[str, Any]:
         """Return it as plain data."""
-        return {
-            "id": self.id,
-            "robot_type": self.robot_type,
-            "n_logs": self.n_logs,
-            "first": self.first,
-            "last": self.last,
-            "changed": self.changed,
-            "when": self.when,
-            "p_value": self.p_value,
-            "false_discovery": self.false_discovery,
-            "what": [asdict(each) for each in self.what],
-            "days": list(self.days),
-            "distances": list(self.distances),
-        }
+        document: dict[str, Any] = plain(self)
+        return document
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,12 +123,8 @@ class FleetDrift:
         return {
             "ledger": self.ledger,
             "since": self.since,
-            "robots": [each.as_document() for each in self.robots],
-            "types": [
-                asdict(each)
-                | {"torque": list(each.torque), "torque_units": list(each.torque_units)}
-                for each in self.types
-            ],
+            "robots": plain(self.robots),
+            "types": plain(self.types),
             "false_discovery_rate": self.false_discovery_rate,
             "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
             "findings": [each.as_dict() for each in self.findings],
@@ -331,20 +317,8 @@ def conclude_drift(
 
 def _decided(each: RobotDrift, rate: float | None, level: float) -> RobotDrift:
     changed = rate is not None and rate <= level
-    return RobotDrift(
-        each.id,
-        each.robot_type,
-        each.n_logs,
-        each.first,
-        each.last,
-        changed,
-        each.when if changed else None,
-        each.p_value,
-        rate,
-        each.what if changed else (),
-        each.days,
-        each.distances,
-    )
+    when, what = (each.when, each.what) if changed else (None, ())
+    return replace(each, changed=changed, when=when, what=what, false_discovery=rate)
 
 
 def _history(directions: Directions, days: Sequence[Day], names: Sequence[str]) -> History:
@@ -381,7 +355,7 @@ def _robot_drift(
         inflation=inflation,
         first=first,
     )
-    what: tuple[SourceChange, ...] = ()
+    what: tuple[FoundEffect, ...] = ()
     if found is not None and found.p_value <= PLAUSIBLE:
         days = read(robot_id)
         what = explain_change(directions, variation, days, found.place, inflation)

@@ -1,4 +1,4 @@
-"""Which source explains a change, how large it is, and the torque that it makes."""
+"""Which effects explain a change, how large they are, and the torque that they make."""
 
 from __future__ import annotations
 
@@ -6,78 +6,53 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
-from asbuilt.tables import significant
-from asbuilt.workflow.fleet.drift.columns import summed
+from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.families.payload import Payload
+from asbuilt.identification.effects.found_effect import FoundEffect
+from asbuilt.identification.effects.groups import LINKS, group_title
+from asbuilt.identification.effects.selection import RULES, worth_of
+from asbuilt.tables import plus_minus, significant
+from asbuilt.workflow.fleet.drift.columns import FleetColumns, summed
 from asbuilt.workflow.fleet.drift.days import Day
 from asbuilt.workflow.fleet.drift.directions import Directions
-from asbuilt.workflow.fleet.drift.sources import PAYLOAD_SIZE, Source, sources_of
+from asbuilt.workflow.fleet.drift.sources import Source, sources_of
 from asbuilt.workflow.fleet.drift.variation import Variation
-
-MOST_SOURCES = 3
-WORTH_NAMING = 0.05
-"""Share of a change's statistic from which a further source is named."""
-SPECIAL = 0.7
-"""Share of the statistic of the mass distribution that a special source has at least."""
-WEAKEST = 1e-8
-"""Eigenvalue of scaled information, relative to the largest, below which nothing is determined."""
 
 
 @dataclass(frozen=True, slots=True)
-class SourceChange:
-    """Hold a source of a change.
+class ChangeRules:
+    """Say how many effects of a change are named, and what determines nothing.
 
-    Parameters
-    ----------
-    source
-        Key of `CAUSES`: friction, offset, armature, gain, payload, mounting (base tilt), links.
-    joint
-        Number of the joint from 1, for sources of a joint.
-    estimate, std_error, unit
-        Its size: friction and gain in percent, payload in kg, tilt in degrees; None for others.
-    torque
-        RMS torque that it makes at the joint that feels it most.
-    torque_unit, felt_at
-        N m or N, and the name of that joint.
-    text
-        The sentence.
+    `weakest` is the eigenvalue of scaled information, relative to the largest.
     """
 
-    source: str
-    joint: int | None
-    estimate: float | None
-    std_error: float | None
-    unit: str | None
-    torque: float
-    torque_unit: str
-    felt_at: str
-    text: str
+    most: int = 3
+    weakest: float = 1e-8
+
+
+CHANGE = ChangeRules()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stepping:
-    """Normal equations of a mean in the directions and a step in all columns."""
+    """Normal equations of a step in all columns, the mean in the directions eliminated."""
 
     information: Array
     score: Array
-    mean_step: Array
-    mean: Array
-    mean_score: Array
 
-    def gain(self, design: Array) -> tuple[float, Array, Array]:
-        """Return the statistic of a step along a design, its parameters and their covariance."""
-        A, b, C = self.information, self.score, self.mean_step
-        inverse = np.linalg.pinv(self.mean, hermitian=True)
-        N = design.T @ (A - C.T @ inverse @ C) @ design
-        u = design.T @ (b - C.T @ inverse @ self.mean_score)
+    def fit(self, design: Array) -> tuple[float, Array, Array, int]:
+        """Return the statistic of a step along a design, its parameters, covariance and rank."""
+        N, u = design.T @ self.information @ design, design.T @ self.score
         size = np.sqrt(np.maximum(np.diag(N), 1e-300))
         values, axes = np.linalg.eigh(N / np.outer(size, size))
-        kept = values > WEAKEST * max(values[-1], 1e-300)
-        root = axes[:, kept] / np.sqrt(values[kept])
-        covariance = (root @ root.T) / np.outer(size, size)
+        kept = values > CHANGE.weakest * max(values[-1], 1e-300)
+        root = axes[:, kept] / np.sqrt(values[kept]) / size[:, None]
+        covariance = root @ root.T
         found = covariance @ u
-        return float(u @ found), found, covariance
+        return float(u @ found), found, covariance, int(kept.sum())
 
 
 def explain_change(
@@ -86,69 +61,61 @@ def explain_change(
     days: Sequence[Day],
     place: int,
     inflation: float,
-) -> tuple[SourceChange, ...]:
-    """Return the sources of a step of a robot at a day, the most important first.
+) -> tuple[FoundEffect, ...]:
+    """Return the effects in a step of a robot at a day, the most important first.
 
-    Each source alone is fitted to the step by generalised least squares beside the robot's mean,
-    with the variation from day to day in the covariance; the best by the statistic less four
-    times its parameters, scaled by what no source explains, is taken, then a further one
-    beside it as long as that adds much.
+    Each effect alone is fitted to the step by generalised least squares beside the robot's mean,
+    with the variation from day to day in the covariance. The most worthy is taken by the rule of a
+    search for effects, then further ones beside it that are no chance and much of the change.
     """
     columns = directions.columns
-    beta = directions.columns.fit(
-        summed(days[: max(place, 1)]), directions.weights, directions.beta
-    )
+    beta = columns.fit(summed(days[: max(place, 1)]), directions.weights, directions.beta)
     step = _stepping(directions, variation.covariance, days, place, beta)
-    sources = sources_of(columns)
-    whole, _, _ = step.gain(np.eye(columns.size))
-    taken: list[Source] = []
-    reached = 0.0
-    while len(taken) < MOST_SOURCES:
-        tried = []
-        for source in sources:
-            if any(_overlap(source, other) for other in taken):
-                continue
-            design = np.hstack([*(each.design for each in taken), source.design])
-            tried.append((step.gain(design)[0], source))
-        if not tried:
-            break
-        spread = max(inflation, (whole - max(g for g, _ in tried)) / columns.size, 1e-300)
-        best = _best(tried, spread)
-        more = best[0] - reached
-        if taken and (
-            more < WORTH_NAMING * whole or more < (12.0 + 4.0 * best[1].design.shape[1]) * spread
-        ):
-            break
-        taken.append(best[1])
-        reached = best[0]
-    design = np.hstack([each.design for each in taken])
-    _, found, covariance = step.gain(design)
-    grams, n = summed(days), sum(day.n_samples for day in days)
-    start, said = 0, []
+    taken = _selected(step, sources_of(columns), inflation)
+    _, found, covariance, _ = step.fit(np.hstack([each.design for each in taken]))
+    after = summed(days[place:])
+    all_days, n = summed(days), sum(day.n_samples for day in days)
+    effects, start = [], 0
+    x = np.zeros(columns.size)
     for source in taken:
         part = slice(start, start + source.design.shape[1])
         start = part.stop
-        x = source.design @ found[part]
-        rms = np.sqrt(columns.energies(grams, x, beta) / n)
-        spread_here = source.design @ covariance[part, part] @ source.design.T * inflation
-        said.append(_change(directions, source, x, spread_here, rms, beta, grams, found[part]))
-    return tuple(sorted(said, key=lambda each: -each.torque))
+        own = source.design @ found[part]
+        rms = np.sqrt(columns.energies(all_days, own, beta) / n)
+        errors = tuple(_relative_error(columns, after, each, beta) for each in (x, x + own))
+        x = x + own
+        spread = inflation * covariance[part, part]
+        size = _size(source, found[part], spread, columns, beta, all_days)
+        effects.append(_effect(source, size, rms, errors, columns))
+    return tuple(sorted(effects, key=lambda each: -each.torque))
 
 
-def _best(tried: Sequence[tuple[float, Source]], spread: float) -> tuple[float, Source]:
-    """Return the best source; the mass distribution, which contains others, as a last resort."""
-    special = [each for each in tried if each[1].cause != "links"]
-    best = max(special or tried, key=lambda each: each[0] - 4.0 * each[1].design.shape[1] * spread)
-    general = [each for each in tried if each[1].cause == "links"]
-    return general[0] if general and best[0] < SPECIAL * general[0][0] else best
+def _selected(step: _Stepping, sources: Sequence[Source], inflation: float) -> list[Source]:
+    """Return the effects that are taken, in order; residuals of the best scale the statistics."""
+    whole, _, _, _ = step.fit(np.eye(len(step.score)))
+    taken: list[Source] = []
+    reached, rank = 0.0, 0
+    while len(taken) < CHANGE.most:
+        left = [each for each in sources if not any(_overlap(each, own) for own in taken)]
+        fits = [step.fit(np.hstack([e.design for e in (*taken, each)])) for each in left]
+        gains = np.array([fit[0] for fit in fits]) - reached
+        ranks = [fit[3] - rank for fit in fits]
+        spread = max(inflation, (whole - reached - gains.max()) / len(step.score))
+        worth = [worth_of(0.5 * g / spread, m) for g, m in zip(gains.tolist(), ranks, strict=True)]
+        best = int(np.argmax(worth))
+        chance = float(chdtrc(max(ranks[best], 1), max(gains[best], 0.0) / spread)) * len(left)
+        if taken and (chance > RULES.level or gains[best] < RULES.named * whole):
+            break
+        taken.append(left[best])
+        reached, rank = fits[best][0], fits[best][3]
+    return taken
 
 
 def _overlap(source: Source, other: Source) -> bool:
-    """Return whether two sources are one, or one contains the other."""
-    general = {"links", "payload"}
-    return (source.cause == other.cause and source.joint == other.joint) or (
-        source.cause in general and other.cause in general
-    )
+    """Return whether two effects are one, or one contains the other."""
+    bodies = {LINKS, Payload.key}
+    same = source.effect == other.effect and source.joint == other.joint
+    return same or {source.effect, other.effect} == bodies
 
 
 def _stepping(
@@ -172,81 +139,82 @@ def _stepping(
             A += P
             b += score
             C += Q.T @ P
-    return _Stepping(A, b, C, D, d)
+    across = C.T @ np.linalg.pinv(D, hermitian=True)
+    return _Stepping(A - across @ C, b - across @ d)
 
 
-def _change(
-    directions: Directions,
+def _relative_error(columns: FleetColumns, grams: Sequence[Array], x: Array, beta: Array) -> float:
+    """Return the torque error about the parameters beta changed by x, relative to the torque."""
+    zero = np.zeros(columns.base.n_base)
+    torque = float(columns.residual_energy(grams, zero).sum())
+    left = float(columns.energies(grams, np.append(-x, 1.0), beta).sum())
+    return float(np.sqrt(left / torque)) if torque > 0.0 else 0.0
+
+
+def _effect(
     source: Source,
-    x: Array,
-    covariance: Array,
+    size: tuple[float, float, str, str],
     rms: Array,
-    beta: Array,
-    grams: Sequence[Array],
-    found: Array,
-) -> SourceChange:
-    columns = directions.columns
+    errors: Sequence[float],
+    columns: FleetColumns,
+) -> FoundEffect:
+    """Return an effect with the RMS torque (n,) that it makes, and the errors around it."""
     at = int(np.argmax(rms))
-    joint = None if source.joint is None else source.joint + 1
-    estimate: float | None = None
-    error: float | None = None
-    unit: str | None = None
-    text = f"{source.title} changed"
-    if source.joint is not None:
-        text = f"{source.title} of {columns.joint_names[source.joint]}"
-    if source.cause == "gain" and source.joint is not None:
-        estimate, unit = 100.0 * float(found[0]), "%"
-        error = 100.0 * float(
-            np.sqrt(covariance[columns.gains, columns.gains].diagonal()[source.joint])
-        )
-        text += f" {estimate:+.2g} %"
-    elif source.cause == "friction" and source.joint is not None:
-        estimate, error = _share(directions, source, x, covariance, beta, grams)
-        unit = "%"
-        text += f" {estimate:+.2g} %"
-    elif source.cause == "payload":
-        place = source.design.shape[1] - 1
-        estimate, unit = float(found[place] * PAYLOAD_SIZE[9]), "kg"
-        root = np.linalg.lstsq(source.design, np.eye(columns.size), rcond=None)[0]
-        error = float(np.sqrt(max((root @ covariance @ root.T)[place, place], 0.0))) * 10.0
-        text = f"{source.title} {estimate:+.2g} kg at the flange"
-    elif source.cause == "mounting":
-        estimate, unit = float(np.degrees(np.linalg.norm(found))), "deg"
-        tilt = covariance[-2:, -2:]
-        along = found / max(float(np.linalg.norm(found)), 1e-300)
-        error = float(np.degrees(np.sqrt(along @ tilt @ along)))
-        text = f"{source.title} by {estimate:.2g} degrees"
-    felt = columns.joint_units[at]
-    text += f", {significant(float(rms[at]))} {felt} RMS at {columns.joint_names[at]}"
-    return SourceChange(
-        source.cause,
-        joint,
-        estimate,
-        error,
-        unit,
-        float(rms[at]),
-        felt,
-        columns.joint_names[at],
-        text,
+    joint = None if source.joint is None else columns.joint_names[source.joint]
+    where = f"{group_title(source.effect)}{f' of {joint}' if joint else ''} {size[3]}".rstrip()
+    felt = f"{significant(float(rms[at]))} {columns.joint_units[at]}"
+    return FoundEffect(
+        effect=source.effect,
+        joint=joint,
+        estimate=size[0],
+        std_error=size[1],
+        unit=size[2],
+        in_model=False,
+        torque=float(rms[at]),
+        error_before=errors[0],
+        error_after=errors[1],
+        alternatives=(),
+        text=f"{where}, {felt} RMS at {columns.joint_names[at]}",
     )
 
 
-def _share(
-    directions: Directions,
+def _size(
     source: Source,
-    x: Array,
+    values: Array,
     covariance: Array,
+    columns: FleetColumns,
     beta: Array,
     grams: Sequence[Array],
-) -> tuple[float, float]:
-    """Return the change of friction torque in percent of the friction before, and its error."""
-    k = int(source.joint or 0)
-    columns = directions.columns
-    places = np.flatnonzero(source.design.any(axis=1))
-    local = [int(np.flatnonzero(columns.support[k] == j)[0]) for j in places]
-    G = grams[k][np.ix_(local, local)]
-    before = beta[places]
-    energy = max(float(before @ G @ before), 1e-300)
-    row = before @ G / energy
-    error = float(np.sqrt(max(float(row @ covariance[np.ix_(places, places)] @ row), 0.0)))
-    return 100.0 * float(row @ x[places]), 100.0 * error
+) -> tuple[float, float, str, str]:
+    """Return size, standard error, unit and text of an effect: of friction the share of before."""
+    k = source.joint
+    if source.effect == LINKS:
+        return np.nan, np.nan, "", "changed"
+    if source.effect in EFFECTS:
+        family = EFFECTS[source.effect]
+        revolute = k is None or columns.joint_units[k] == "N m"
+        size, error, unit = family.size(values, covariance, revolute=revolute)
+        text = family.text_of(size, error, revolute=revolute)
+    else:
+        size, error, unit = _share(source, values, covariance, columns, beta, grams)
+        text = f"{plus_minus(size, error)} {unit}"
+    return size, error, unit, f"+{text}" if size > 0.0 else text
+
+
+def _share(
+    source: Source,
+    values: Array,
+    covariance: Array,
+    columns: FleetColumns,
+    beta: Array,
+    grams: Sequence[Array],
+) -> tuple[float, float, str]:
+    """Return the change of the torque of a drive, in percent of that before, and its error."""
+    places, k = np.flatnonzero(source.design.any(axis=1)), source.joint or 0
+    if len(places) == 1:
+        return float(values[0]), float(np.sqrt(covariance[0, 0])), columns.base.units[places[0]]
+    local = np.array([np.flatnonzero(columns.support[k] == j)[0] for j in places])
+    row = beta[places] @ grams[k][np.ix_(local, local)]
+    row = 100.0 * row / max(float(row @ beta[places]), 1e-300)
+    error = float(np.sqrt(max(float(row @ covariance @ row), 0.0)))
+    return float(row @ values), error, "%"

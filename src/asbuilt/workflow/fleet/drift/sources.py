@@ -1,4 +1,4 @@
-"""Sources of a change: friction and gain of a joint, payload, base tilt, mass distribution."""
+"""Effects by which a robot changes: friction and gain of a joint, payload, tilt, its links."""
 
 from __future__ import annotations
 
@@ -7,74 +7,47 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.validation.attribution.causes import CAUSES
+from asbuilt.identification.effects.families.log import Gain
+from asbuilt.identification.effects.families.payload import Payload
+from asbuilt.identification.effects.families.tilt import Tilt
+from asbuilt.identification.effects.groups import LINKS, drive_places
 from asbuilt.workflow.fleet.drift.columns import FleetColumns
-
-PAYLOAD_SIZE = np.array([1.0] * 6 + [1.0] * 3 + [10.0])
-"""Scale of the inertial parameters of a payload: kg m^2, kg m, kg."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """Describe a source of change.
+    """Describe an effect that can change.
 
     Parameters
     ----------
-    cause
-        Key of `CAUSES`.
-    joint
-        The joint, from 0; None for a source of the whole robot.
+    effect, joint
+        Its key, and the joint from 0; None for an effect of the whole robot.
     design
         The change of the columns by a unit of each of its m parameters, (size, m).
     """
 
-    cause: str
+    effect: str
     joint: int | None
     design: Array
 
-    @property
-    def title(self) -> str:
-        """The cause as text."""
-        return CAUSES[self.cause]
-
 
 def sources_of(columns: FleetColumns) -> tuple[Source, ...]:
-    """Return the sources of change of a robot type; without those that its columns lack."""
-    n, base = columns.n_joints, columns.base
-    found: list[Source] = []
-    for k in range(n):
-        found += [
-            Source(cause, k, _units(columns.size, places))
-            for cause, places in drive_places(base, k).items()
-            if places
-        ]
-    found += [Source("gain", k, _units(columns.size, [columns.gains.start + k])) for k in range(n)]
-    K = np.zeros((columns.size, 10))
-    K[: base.n_base] = base.regrouping[:, 10 * columns.tool_link :][:, :10]
-    found += [Source("payload", None, K[:, 6:] * PAYLOAD_SIZE[6:])]
-    found += [Source("payload", None, K * PAYLOAD_SIZE)]
-    found.append(
-        Source("mounting", None, _units(columns.size, [columns.size - 2, columns.size - 1]))
+    """Return the effects that can change in a robot type; without those that its columns lack."""
+    n, base, unit = columns.n_joints, columns.base, np.eye(columns.size)
+    found = [
+        Source(effect, k, unit[:, places])
+        for k in range(n)
+        for effect, places in drive_places(base, k).items()
+    ]
+    found += [Source(Gain.key, k, unit[:, [columns.gains.start + k]]) for k in range(n)]
+    K = unit[:, : base.n_base] @ base.regrouping[:, 10 * columns.tool_link :][:, :10]
+    links = np.flatnonzero(base.columns < 10 * base.n_links)
+    return (
+        *found,
+        Source(Payload.key, None, K),
+        Source(Tilt.key, None, unit[:, -2:]),
+        Source(LINKS, None, unit[:, links]),
     )
-    links = [i for i, column in enumerate(base.columns) if column < 10 * base.n_links]
-    found.append(Source("links", None, _units(columns.size, links)))
-    return tuple(found)
-
-
-def drive_places(base: BaseParameters, joint: int) -> dict[str, list[int]]:
-    """Return where friction, offset and armature of a joint are among the base parameters."""
-    names = {name: i for i, name in enumerate(base.names)}
-    groups: dict[str, list[int]] = {}
-    for term in base.drive.terms:
-        cause = term.cause or "friction"
-        group = cause if cause in ("offset", "armature") else "friction"
-        groups.setdefault(group, []).extend(
-            names[f"{symbol}{joint + 1}"]
-            for symbol in term.symbols
-            if f"{symbol}{joint + 1}" in names
-        )
-    return groups
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,30 +72,24 @@ USUAL = UsualChanges()
 
 
 def usual_changes(columns: FleetColumns, information: Array, beta: Array) -> Array:
-    """Return the changes of sources of usual size, (size, number of changes).
+    """Return the changes of effects of usual size, (size, number of changes).
 
     `information` is that of a day about the parameters beta.
     """
     found = []
-    inertia, moment, mass = USUAL.payload
-    payload = np.array([inertia] * 6 + [moment] * 3 + [mass]) / PAYLOAD_SIZE
+    payload = np.repeat(USUAL.payload, (6, 3, 1))
     for source in sources_of(columns):
         places = np.argmax(np.abs(source.design), axis=0)
         clear = np.sqrt(np.einsum("im,ij,jm->m", source.design, information, source.design))
         clear = np.where(clear > 0.0, clear, np.inf)
+        present = np.abs(beta[np.minimum(places, len(beta) - 1)])
         sizes = {
-            "friction": USUAL.friction * np.abs(beta[np.minimum(places, len(beta) - 1)]),
-            "armature": USUAL.armature * np.abs(beta[np.minimum(places, len(beta) - 1)]),
-            "gain": np.full(len(places), USUAL.gain),
-            "mounting": np.full(len(places), USUAL.tilt),
-            "payload": payload[-len(places) :],
+            "friction": USUAL.friction * present,
+            "armature": USUAL.armature * present,
+            Gain.key: np.full(len(places), USUAL.gain),
+            Tilt.key: np.full(len(places), USUAL.tilt),
+            Payload.key: payload,
         }
-        size = sizes.get(source.cause, USUAL.others / clear)
+        size = sizes.get(source.effect, USUAL.others / clear)
         found.append(source.design * np.minimum(size, USUAL.most / clear))
     return np.hstack(found)
-
-
-def _units(size: int, places: list[int]) -> Array:
-    design = np.zeros((size, len(places)))
-    design[places, np.arange(len(places))] = 1.0
-    return design

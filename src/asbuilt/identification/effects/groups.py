@@ -1,0 +1,40 @@
+"""Parameters of a model by the effect that they belong to."""
+
+from __future__ import annotations
+
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.identification.effects.effect import EFFECTS
+
+LINKS = "links"
+GROUPS: dict[str, str] = {
+    "friction": "friction",
+    "offset": "torque offset",
+    "armature": "armature",
+    LINKS: "mass distribution of the links",
+}
+"""Names of effects that are no family of their own, but parameters that every model has."""
+
+
+def group_title(key: str) -> str:
+    """Return the name of a group or an effect in sentences.
+
+    >>> group_title("links"), group_title("tilt")
+    ('mass distribution of the links', 'base tilt')
+    """
+    return GROUPS[key] if key in GROUPS else EFFECTS[key].title if key in EFFECTS else key
+
+
+def group_of(term: DriveTerm) -> str:
+    """Return the group of a drive term: what acts over position is an effect of its own."""
+    return term.cause or (term.key if term.by_position else "friction")
+
+
+def drive_places(base: BaseParameters, joint: int) -> dict[str, list[int]]:
+    """Return where the drive parameters of a joint (from 0) are among the base parameters."""
+    names = {name: i for i, name in enumerate(base.names)}
+    groups: dict[str, list[int]] = {}
+    for term in base.drive.terms:
+        found = [names.get(f"{symbol}{joint + 1}") for symbol in term.symbols]
+        groups.setdefault(group_of(term), []).extend(j for j in found if j is not None)
+    return {group: places for group, places in groups.items() if places}

@@ -1,0 +1,220 @@
+"""Attribution of the torque error of CAD to what a model has beyond CAD."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import ResultError
+from asbuilt.findings import Cure
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.effects.bodies import BodyDifference, explain_bodies
+from asbuilt.identification.effects.effect import EFFECTS
+from asbuilt.identification.effects.families.payload import Payload
+from asbuilt.identification.effects.found_effect import FoundEffect, found_text
+from asbuilt.identification.effects.groups import LINKS, drive_places, group_of
+from asbuilt.identification.information.cause_data import CauseData
+from asbuilt.tables import plus_minus
+from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
+from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
+from asbuilt.validation.comparison.equal_terms import tested_values
+from asbuilt.validation.comparison.significance import holm
+from asbuilt.validation.prediction import cad_values, torque_units
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
+
+
+def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> Attribution:
+    """Attribute the torque error of CAD to the effects that the model of a result has.
+
+    With y_i the torque of what effect i adds to CAD, `e = tau - tau_CAD` and `r = e - sum y`, the
+    share of effect i in the drop |e|^2 - |r|^2 is its Shapley value `y_i . (e + r)` (Shapley,
+    1953). Sizes and errors are those of the result; what bodies have beyond CAD is divided by
+    `explain_bodies`.
+
+    Parameters
+    ----------
+    result
+        A result with `cause_data`.
+    cad
+        Another description of the same geometry; None: the one identified with.
+
+    Returns
+    -------
+    Attribution
+        Shares and sizes of the effects.
+
+    Raises
+    ------
+    ResultError
+        If the result has no cause data.
+    """
+    data = result.cause_data
+    if data is None:
+        raise ResultError(
+            f"this result of {result.robot} has no cause data; `run_study` gathers them from"
+            " recordings of at least some seconds",
+            cure=Cure("identify again from a longer recording", call="run_study"),
+        )
+    by_design = result.cad_values if cad is None else cad_values(result, cad)
+    bodies = _bodies(result, cad or result.model, by_design)
+    values = np.nan_to_num(by_design)
+    changes = _changes(result, values, bodies)
+    e, y, torque = _torques(result, data, values, changes)
+    left = e - y.sum(axis=0)
+    energy = np.sum(e**2, axis=1)
+    energy = np.where(energy > 0.0, energy, np.inf)
+    parts = dict(zip(changes, np.sum(y * (e + left), axis=2) / energy, strict=True))
+    sure = _sure(result, values, changes, bodies)
+    payload = None
+    if bodies.has_payload:
+        own = y[list(parts).index(Payload.key)]
+        payload = _payload(bodies, own, left, torque, data.n_judged)
+    shares = [
+        EffectShare(
+            key,
+            part,
+            _sizes(result, key, values, payload),
+            sure[key] and bool(np.any(part >= SHOWN.share)),
+        )
+        for key, part in parts.items()
+    ]
+    return Attribution(
+        robot=result.robot,
+        joint_names=data.joint_names,
+        units=torque_units(result.model),
+        judged_by=recording_name(data.judged_by),
+        torque=_rms(torque, data.n_judged),
+        rms_cad=_rms(e, data.n_judged),
+        rms_chosen=_rms(left, data.n_judged),
+        shares=tuple(sorted(shares, key=lambda each: -float(each.share @ np.sum(e**2, axis=1)))),
+        unexplained=np.sum(left**2, axis=1) / energy,
+        payload=payload,
+        effects=tuple(each for each in result.effects if each.effect != Payload.key),
+    )
+
+
+def _torques(
+    result: IdentificationResult, data: CauseData, values: Array, changes: Mapping[str, Array]
+) -> tuple[Array, Array, Array]:
+    """Return the error of CAD (n, R), what m effects add to CAD (m, n, R), and the torque (n, R).
+
+    They are rotated by the factors of held-out data, which leaves sums of squares as they are.
+    """
+    places = data.places(result.base.names)
+    rows = data.whole(data.judged)
+    size = max(map(len, rows))
+    both = np.zeros((2 + len(changes), len(rows), size))
+    for k, each in enumerate(rows):
+        own = each[:, places] @ np.column_stack([values, *changes.values()])
+        both[0, k, : len(each)], both[2:, k, : len(each)] = each[:, -1], own[:, 1:].T
+        both[1, k, : len(each)] = each[:, -1] - own[:, 0]
+    return both[1], both[2:], both[0]
+
+
+def _rms(torque: Array, n: int) -> Array:
+    return np.asarray(np.linalg.norm(torque, axis=-1) / np.sqrt(n))
+
+
+def _bodies(result: IdentificationResult, cad: RobotModel, by_design: Array) -> BodyDifference:
+    """Return what the bodies have beyond CAD, by estimates without regularisation."""
+    free = tested_values(result)
+    known = free.determined & ~free.dropped & (free.std_errors > 0.0)
+    difference = np.where(known, free.estimates - by_design, np.nan)
+    prior = cad_prior(cad, result.base.drive)
+    return explain_bodies(result.base, prior, cad.tool_link, difference, free.covariance)
+
+
+def _changes(
+    result: IdentificationResult, values: Array, bodies: BodyDifference
+) -> dict[str, Array]:
+    """Return what each effect adds to the base parameters of CAD, (p,) each."""
+    base = result.base
+    change = result.estimates - values
+    found = {LINKS: np.where(base.columns < 10 * base.n_links, change, 0.0)}
+    for k in range(base.n_joints):
+        for key, places in drive_places(base, k).items():
+            found.setdefault(key, np.zeros(base.n_base))[places] = change[places]
+    if bodies.has_payload:
+        tool = 10 * result.model.tool_link
+        found[Payload.key] = base.regrouping[:, tool : tool + 10] @ bodies.payload
+        found[LINKS] = found[LINKS] - found[Payload.key]
+    return {key: each for key, each in found.items() if each.any()}
+
+
+def _sure(
+    result: IdentificationResult,
+    values: Array,
+    changes: Mapping[str, Array],
+    bodies: BodyDifference,
+) -> dict[str, bool]:
+    """Return which effects are no chance, at a familywise error rate over those of drives."""
+    tested = tested_values(result)
+    p = {
+        key: tested.test_against(np.where(change != 0.0, values, np.nan)).probability
+        for key, change in changes.items()
+        if key not in (LINKS, Payload.key)
+    }
+    sure = (holm(list(p.values())) <= FALSE_DISCOVERY_RATE).tolist() if p else []
+    return {
+        Payload.key: bodies.has_payload,
+        LINKS: bodies.links_differ,
+        **dict(zip(p, sure, strict=True)),
+    }
+
+
+def _payload(bodies: BodyDifference, y: Array, left: Array, torque: Array, n: int) -> FoundEffect:
+    """Return the payload of torque y, beside what the model leaves of the torque of n samples."""
+    family = EFFECTS[Payload.key]
+    mass, error, unit = family.size(bodies.payload, bodies.covariance, revolute=True)
+    before, after = (
+        float(np.linalg.norm(each) / np.linalg.norm(torque)) for each in (left + y, left)
+    )
+    text = family.size_text(bodies.payload, bodies.covariance, revolute=True)
+    return FoundEffect(
+        effect=family.key,
+        joint=None,
+        estimate=mass,
+        std_error=error,
+        unit=unit,
+        in_model=True,
+        torque=float(np.linalg.norm(y) / np.sqrt(n)),
+        error_before=before,
+        error_after=after,
+        alternatives=(LINKS,) if bodies.links_differ else (),
+        text=found_text(family.title, None, text, before, after),
+    )
+
+
+def _sizes(
+    result: IdentificationResult, key: str, values: Array, payload: FoundEffect | None
+) -> tuple[str, ...]:
+    """Return the parameters of an effect at each joint as text, as changes from CAD."""
+    n = result.model.n_joints
+    if key == Payload.key and payload is not None:
+        return (f"{plus_minus(payload.estimate, payload.std_error)} {payload.unit}",) * n
+    if key == LINKS:
+        return ("",) * n
+    words = {
+        symbol: term.title.removesuffix(" friction") if key == "friction" else ""
+        for term in result.base.drive.terms
+        if group_of(term) == key
+        for symbol in term.symbols
+    }
+    found = []
+    for k in range(n):
+        parts = []
+        for j in drive_places(result.base, k).get(key, []):
+            own = result.parameters[j]
+            change = plus_minus(own.estimate - float(values[j]), own.std_error)
+            more = " more than in CAD" if values[j] else ""
+            parts.append(
+                f"{words.get(own.name.rstrip('0123456789'), '')} {change} {own.unit}{more}"
+            )
+        found.append(", ".join(part.strip() for part in parts))
+    return tuple(found)
