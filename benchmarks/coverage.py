@@ -4,7 +4,7 @@
 what is possible. Then 20 of each of three robots whose torque Pinocchio or MuJoCo computes, where
 the model is right and where it lacks something (`lacking.py`). There either it is named, or
 intervals hold 93 %. Gains of drives and delays of the torque have truth by the same engines
-(`calibrations.py`).
+(`calibrations.py`), and so have robots that stand, trot, jump and fall on legs (`legs.py`).
 
     python benchmarks/coverage.py [PART...] [--workers N | --scheduler tcp://...]
     python benchmarks/coverage.py lacking --only ur10e,elastic --engine mujoco --repetitions 4
@@ -45,6 +45,7 @@ from asbuilt.identification.information.square_root_information import (
 from asbuilt.identification.result.design_values import design_values
 from calibrations import Setting, delay_errors, gain_errors
 from lacking import LACKING, ROBOTS, trials
+from legs import Walk, parameter_errors
 from outside_robot import Engine
 
 Array = NDArray[np.float64]
@@ -100,7 +101,20 @@ STUDIES_OF_CALIBRATIONS = (
     ("delay", Setting("ur10e", 10.0, noise=0.3, correlation_time=0.5)),
     ("delay", Setting("kuka-iiwa7-r800", 20.0, noise=0.3, correlation_time=0.5)),
 )
-PARTS = ("noise", "bodies", "lacking", "calibrations")
+REPETITIONS_OF_WALKS = 4
+STUDIES_OF_WALKS = (
+    *(
+        Walk(robot, (motion,))
+        for robot in ("solo12", "go2")
+        for motion in ("squat", "step", "hop", "flight")
+    ),
+    Walk("g1", ("squat",)),
+    Walk("g1", ("flight",)),
+    Walk("go2", ("squat", "step")),
+    Walk("go2", ("step",), method="auto"),
+    Walk("go2", ("flight",), method="auto"),
+)
+PARTS = ("noise", "bodies", "lacking", "calibrations", "legs")
 
 
 def recordings(
@@ -261,7 +275,11 @@ def coverage_of_calibrations(
     what: str, setting: Setting, repetitions: int, engine: Engine
 ) -> dict[str, float]:
     """Return the share of 95 % intervals that hold the truth, and the RMS error in them."""
-    pairs = CALIBRATIONS[what](setting, repetitions, engine)
+    return shares_of_errors(CALIBRATIONS[what](setting, repetitions, engine))
+
+
+def shares_of_errors(pairs: Iterable[tuple[Array, Array]]) -> dict[str, float]:
+    """Return the same of errors and their standard errors."""
     z = np.concatenate([error / std_error for error, std_error in pairs])
     known = z[np.isfinite(z)]
     return {
@@ -290,6 +308,7 @@ def measure(
             for what in chosen(LACKING, only)
         ],
         "calibrations": [(*each, engine) for each in STUDIES_OF_CALIBRATIONS],
+        "legs": [(each,) for each in STUDIES_OF_WALKS],
     }
     tasks = [(part, study) for part in PARTS if part in parts for study in studies[part]]
     found: dict[int, dict[str, float]] = {}
@@ -336,6 +355,10 @@ def _measured(task: tuple[int, int | None, str, tuple[Any, ...]]) -> dict[str, f
         shares = coverage_of_calibrations(
             what, setting, repetitions or REPETITIONS_OF_CALIBRATIONS, engine
         )
+    elif part == "legs":
+        (walk,) = study
+        name = walk.name
+        shares = shares_of_errors(parameter_errors(walk, repetitions or REPETITIONS_OF_WALKS))
     else:
         robot, lacking, engine = study
         name = f"{robot}_with_{lacking}"

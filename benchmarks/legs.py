@@ -1,211 +1,304 @@
-"""Virtual walking robots in MuJoCo, whose truth is known: how often 95 % intervals hold it.
+"""Robots with legs that walk in MuJoCo, whose true bodies are known.
 
-    python benchmarks/legs.py MODEL CONTACTS [--motion squat,trot,hop,flight] [--seeds 4]
-
-MODEL is a URDF or MJCF with legs. Each link is made up to 15 % heavier or lighter, the feet stand
-on a floor by MuJoCo's contacts, joints are driven by servos, and pose, joints, torques and contact
-flags are logged with noise. One JSON line a seed: error held out as built and of CAD, the share of
-base parameters whose 95 % interval holds the truth, and the total mass.
+Feet stand on a floor by MuJoCo's contacts, and joints are driven by servos along postures in which
+the feet are where they shall be. Pose, joints, torques and contact flags are logged with noise; the
+flags say where a force of the floor is felt.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import time
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 from xml.etree.ElementTree import SubElement, fromstring, tostring
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
-from asbuilt import identify
-from asbuilt.arrays import Array
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import Contact, RobotModel
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.description.model import RobotModel
+from asbuilt.workflow.study import Study, identify
 from asbuilt.writers.models.mjcf import exported_mjcf
+from legged_robots import LEGGED, SOLE, Legged, standing
+from outside_robot import Sensors, other_bodies
 
-NOISE = {"position": 2e-5, "torque": 0.02, "place": 2e-5, "turn": 2e-5}
-"""Standard deviations [rad, N m per 10 kg, m, rad]: encoders, drives, motion capture, filtered."""
-VISCOUS = 0.02
-"""Damping of every joint [N m s/rad]."""
-RATE, SECONDS = 500.0, 20.0
+Array = NDArray[np.float64]
 
-
-def altered(model: RobotModel, rng: np.random.Generator) -> RobotModel:
-    """Return the robot with every link up to 15 % heavier or lighter, and damping."""
-    chi = model.parameters.reshape(-1, 10) * rng.uniform(0.85, 1.15, (model.n_links, 1))
-    other = model.with_parameters(chi.ravel())
-    joints = tuple(
-        replace(joint, drive=replace(joint.drive, viscous=VISCOUS, coulomb=None, armature=None))
-        if k >= model.n_floating
-        else joint
-        for k, joint in enumerate(other.joints)
-    )
-    return replace(other, joints=joints)
+STEP = 5e-4
+"""Time step of the simulation and of the servos [s]."""
+RATE, SECONDS, SETTLING = 500.0, 20.0, 2.0
+PLACE_NOISE, TURN_NOISE = 1e-4, 1e-4
+"""Standard deviations of the pose of the base [m, rad]."""
+COUNTS = 2.0**18
+FELT = 0.02
+"""Force over the weight above which a contact's flag is 1."""
+STEEPEST = np.deg2rad(70.0)
 
 
-def simulated(model: RobotModel, radius: float) -> mujoco.MjModel:
-    """Return a robot for MuJoCo that stands on a floor with balls at its contacts."""
+@dataclass(frozen=True)
+class Walk:
+    """A robot, what it does, one log each, and for how long [s].
+
+    It squats, sways and turns on its feet (`squat`), trots (`step`), jumps (`hop`), or moves its
+    joints as it falls (`flight`).
+    """
+
+    robot: str
+    motions: tuple[str, ...]
+    seconds: float = SECONDS
+    method: str = "wls"
+
+    @property
+    def name(self) -> str:
+        return f"legs_{self.robot}_{'_'.join(self.motions)}_{self.seconds:g}s_{self.method}"
+
+
+class Stage(NamedTuple):
+    """A robot in MuJoCo; `feet` are body, point on it (3,) and shapes that touch."""
+
+    m: mujoco.MjModel
+    feet: list[tuple[int, Array, set[int]]]
+    weight: float
+    rest: Array
+
+
+def parameter_errors(walk: Walk, repetitions: int) -> Iterator[tuple[Array, Array]]:
+    """Yield the errors of base parameters (p,) of a study and their standard errors."""
+    for seed in range(repetitions):
+        truth, study = studied(walk, seed)
+        yield against_truth(truth, study)
+
+
+def studied(walk: Walk, seed: int) -> tuple[RobotModel, Study]:
+    """Return a robot as it is, and the study of its logs."""
+    legged, rng = LEGGED[walk.robot], np.random.default_rng(seed)
+    cad = described(walk.robot)
+    truth = other_bodies(cad, rng)
+    logs = [recorded(legged, truth, kind, walk.seconds, rng) for kind in walk.motions]
+    return truth, identify(cad, logs, torque_source="motor", method=walk.method)
+
+
+@cache
+def described(robot: str) -> RobotModel:
+    """Return a robot by its description."""
+    return LEGGED[robot].model()
+
+
+def against_truth(truth: RobotModel, study: Study) -> tuple[Array, Array]:
+    """Return the errors of the base parameters of a study and their standard errors."""
+    base = study.result.base
+    known = dict(zip(base.standard_names, truth.parameters, strict=False))
+    for k, joint in enumerate(truth.joints):
+        known |= {f"Fv{k + 1}": joint.drive.viscous or 0.0, f"Ia{k + 1}": joint.drive.armature}
+    values = [known.get(name) or 0.0 for name in base.standard_names]
+    return study.result.estimates - base.values(np.array(values)), study.result.std_errors
+
+
+def recorded(
+    legged: Legged, model: RobotModel, kind: str, seconds: float, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Return the log of a motion; the robot falls freely if it is `flight`."""
+    stage = staged(legged, model)
+    goal = goals(stage, kind, seconds + SETTLING, rng)
+    return _columns(legged, model, simulated(legged, stage, goal, kind == "flight", rng), rng)
+
+
+def staged(legged: Legged, model: RobotModel) -> Stage:
+    """Return a robot that stands on a floor, with balls or the corners of soles at its contacts."""
     root = fromstring(exported_mjcf(model))
     for geom in root.iter("geom"):
         geom.set("contype", "0")
         geom.set("conaffinity", "0")
-    world = next(iter(root.iter("worldbody")))
-    SubElement(world, "geom", name="floor", type="plane", size="9 9 1", friction="1 .005 .0001")
-    for contact in model.contacts:
-        site = next(each for each in root.iter("site") if each.get("name") == contact.frame)
-        body = next(each for each in root.iter("body") if site in list(each))
-        place = {"pos": site.get("pos", "0 0 0"), "size": str(radius), "mass": "0"}
-        SubElement(body, "geom", {"name": f"ball {contact.frame}", "type": "sphere"} | place)
-    return mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
-
-
-def wanted(kind: str, t: float, rest: Array, phase: Array) -> Array:
-    """Return the positions of the joints (n,) that the servos are asked for."""
-    legs = rest.reshape(-1, 3)
-    bend = np.sign(legs[:, 1:2])
-    move = np.zeros_like(legs)
-    if kind == "squat":
-        w = 2.0 * np.pi * np.array([0.31, 0.53, 0.71])
-        move[:, 0] = 0.15 * np.sin(w[0] * t + phase[0]) + 0.05 * np.sin(w[2] * t)
-        deep = 0.2 * np.sin(w[1] * t + phase[1]) + 0.1 * np.sin(2.1 * w[2] * t + phase[2])
-        lean = 0.12 * np.sin(w[2] * t + phase[0]) * np.array([1.0, 1.0, -1.0, -1.0])
-        move[:, 1:2] = bend * (deep + lean)[:, None] if len(legs) == 4 else bend * deep
-        move[:, 2:3] = -2.0 * move[:, 1:2] * 0.9
-    elif kind in ("trot", "hop"):
-        beat = 2.0 * np.pi * (1.6 if kind == "trot" else 1.3) * t
-        side = np.array([0.0, 1.0, 1.0, 0.0]) * np.pi if kind == "trot" else np.zeros(4)
-        lift = np.maximum(0.0, np.sin(beat + side[: len(legs)]))[:, None]
-        if kind == "hop":
-            lift = 0.5 * np.sin(beat) * np.ones((len(legs), 1))
-        move[:, 1:2], move[:, 2:3] = bend * 0.35 * lift, -bend * 0.8 * lift
-        move[:, 0] = 0.06 * np.sin(2.3 * t + phase[0]) + 0.05 * np.sin(5.1 * t + phase[1])
-    else:
-        w = 2.0 * np.pi * np.outer([0.7, 0.9, 1.1], np.ones(len(legs))).T
-        move = 0.5 * np.sin(w * t + phase.reshape(-1)[: legs.size].reshape(legs.shape))
-    return (legs + move).ravel()
-
-
-def recorded(
-    model: RobotModel, kind: str, rest: Array, rng: np.random.Generator
-) -> dict[str, Array]:
-    """Return the log of a motion; the robot falls freely if it is `flight`."""
-    m = simulated(model, model.contacts[0].radius)
-    d, feet = mujoco.MjData(m), [m.geom(f"ball {each.frame}").id for each in model.contacts]
-    weight = float(np.sum(m.body_mass))
-    kp, kd, phase = 8.0 * weight, 0.25 * weight, rng.uniform(0, 2 * np.pi, 12)
-    m.opt.timestep, m.opt.integrator = 5e-4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    world, bodies = next(iter(root.iter("worldbody"))), list(root.iter("body"))
+    stiff = {"solref": "0.004 1", "friction": "1 .005 .0001"}
+    SubElement(world, "geom", {"name": "floor", "type": "plane", "size": "99 99 1"} | stiff)
+    own: dict[str, str] = {}
+    for foot in legged.feet:
+        sites = [each for each in root.iter("site") if each.get("name") == foot]
+        body = next(each for each in bodies if each.get("name") == foot or {*sites} & {*each})
+        x, y, z = map(float, (sites[0].get("pos", "0 0 0") if sites else "0 0 0").split())
+        corners = SOLE if legged.sole else ((0.0, 0.0),)
+        size = legged.radius or 1e-3
+        below = size - legged.sole if legged.sole else 0.0
+        own[foot] = body.get("name", "")
+        for k, (along, across) in enumerate(corners):
+            place = f"{x + along} {y + across} {z + below}"
+            ball = {"name": f"{foot} {k}", "type": "sphere", "pos": place, "mass": "0"}
+            SubElement(body, "geom", ball | {"size": str(size)} | stiff)
+    m = mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
+    m.opt.timestep, m.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    m.jnt_limited[:] = 0
     m.opt.cone, m.opt.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
-    mujoco.mj_resetData(m, d)
-    d.qpos[7:] = rest
-    mujoco.mj_forward(m, d)
-    d.qpos[2] = model.contacts[0].radius - min(d.geom_xpos[foot][2] for foot in feet)
+    feet = []
+    for foot in legged.feet:
+        shapes = {k for k in range(m.ngeom) if m.geom(k).name.startswith(f"{foot} ")}
+        point = np.mean([m.geom_pos[k] for k in shapes], axis=0)
+        feet.append((m.body(own[foot]).id, point, shapes))
+    weight = 9.81 * float(np.sum(m.body_mass))
+    return Stage(m, feet, weight, standing(legged, model.joint_names[6:]))
+
+
+def goals(stage: Stage, kind: str, seconds: float, rng: np.random.Generator) -> CubicSpline:
+    """Return the positions of the joints over time that the servos are asked for."""
+    t = np.arange(0.0, seconds + 0.1, 0.02)
+    fade = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, t / SETTLING)[:, None])
+    biped = len(stage.feet) == 2
     if kind == "flight":
-        m.geom_contype[:], m.geom_conaffinity[:] = 0, 0
-        d.qvel[:6] = [0, 0, 0, *rng.normal(0, 0.6, 3)]
-    rows, every = [], round(1.0 / RATE / m.opt.timestep)
-    seconds = 12.0 if kind == "flight" else SECONDS
-    for step in range(round((seconds + 1.0) / m.opt.timestep)):
-        t = step * m.opt.timestep
-        fade = min(1.0, t)
-        goal = rest + fade * (wanted(kind, t, rest, phase) - rest)
-        d.ctrl[:] = kp * (goal - d.qpos[7:]) - kd * d.qvel[6:]
-        mujoco.mj_step1(m, d)
-        mujoco.mj_step2(m, d)
-        if step % every == 0 and t >= 1.0:
-            q, tau = d.qpos.copy(), d.actuator_force.copy()
-            closed = np.zeros(len(feet))
-            for k in range(d.ncon):
-                closed[[f in d.contact[k].geom for f in feet]] = 1.0
-            rows.append(np.concatenate([[t], q, tau, closed]))
-    log = np.array(rows)
-    return _columns(model, log, weight, rng)
+        sway = (0.25 if biped else 0.5) * _sines(t, len(stage.rest), 0.5, 2.0, rng)
+        return CubicSpline(t, stage.rest + fade * sway)
+    start = _standing(stage)
+    height = start[2]
+    aside, fastest = (0.02, 0.5) if biped else (0.06, 1.0)
+    size = np.r_[height * np.array([aside, aside, 0.12]), 0.12, 0.12, 0.12]
+    base = size * _sines(t, 6, 0.1, fastest, rng)
+    free = 0.4 * _sines(t, len(stage.rest), 0.1, fastest, rng)
+    lift = np.zeros((len(t), len(stage.feet)))
+    if kind == "step":
+        beat = np.sin(2.0 * np.pi * 1.6 * t)[:, None] * [1.0, -1.0, -1.0, 1.0]
+        base *= 0.4
+        lift = 0.12 * height * np.maximum(0.0, beat) ** 2
+    elif kind == "hop":
+        base *= 0.2
+        base[:, 2] += 0.11 * height * np.sin(np.sqrt(1.5 * 9.81 / (0.11 * height)) * t)
+    postures, found = [], start
+    for k in range(len(t)):
+        found = _posture(stage, found, start, fade[k] * base[k], fade[k] * lift[k], free[k])
+        postures.append(found[7:])
+    return CubicSpline(t, np.array(postures))
+
+
+def _sines(t: Array, n: int, low: float, high: float, rng: np.random.Generator) -> Array:
+    """Return sums of three sines (N, n) of frequencies between two [Hz], about 1 in size."""
+    f = rng.uniform(low, high, (n, 3))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n, 3))
+    return np.asarray(np.sin(2.0 * np.pi * t[:, None, None] * f + phase).sum(axis=2) / 2.0)
+
+
+def _standing(stage: Stage) -> Array:
+    """Return the state (nq,) of a robot at rest whose feet touch the floor."""
+    d = mujoco.MjData(stage.m)
+    d.qpos[7:] = stage.rest
+    mujoco.mj_kinematics(stage.m, d)
+    lowest = min(
+        d.geom_xpos[k][2] - stage.m.geom_size[k][0] for foot in stage.feet for k in foot[2]
+    )
+    d.qpos[2] -= lowest
+    return np.array(d.qpos)
+
+
+def _posture(
+    stage: Stage, guess: Array, start: Array, base: Array, lift: Array, free: Array
+) -> Array:
+    """Return the state (nq,) with the feet where they stood, but for `lift` [m].
+
+    The base is off by `base` from where it stood, its centre of mass in place of its x and y on two
+    feet; joints that no foot needs are off by `free`.
+    """
+    m, soles = stage.m, len(stage.feet) == 2
+    first, d = mujoco.MjData(m), mujoco.MjData(m)
+    first.qpos[:] = start
+    legs = set()
+    for each in (first, d):
+        each.qpos[:] = start if each is first else guess
+        mujoco.mj_kinematics(m, each)
+    for foot, _, _ in stage.feet:
+        body = foot
+        while m.body_dofadr[body] >= 6:
+            legs.add(int(m.body_dofadr[body]))
+            body = m.body_parentid[body]
+    rest = [k for k in range(6, m.nv) if k not in legs]
+    turn = np.zeros(4)
+    mujoco.mju_euler2Quat(turn, base[3:], "XYZ")
+    for _ in range(20):
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_comPos(m, d)
+        rows, gaps, stood = [], [], []
+        for k, (body, point, _) in enumerate(stage.feet):
+            J, T = np.zeros((3, m.nv)), np.zeros((3, m.nv))
+            at, was = (
+                each.xpos[body] + each.xmat[body].reshape(3, 3) @ point for each in (d, first)
+            )
+            mujoco.mj_jac(m, d, J, T, at, body)
+            stood.append(was)
+            rows.append(J)
+            gaps.append(was + np.array([0.0, 0.0, lift[k]]) - at)
+            if soles:
+                rows.append(T)
+                gaps.append(_rotation(d.xquat[body], first.xquat[body]))
+        J, T, C = np.zeros((3, m.nv)), np.zeros((3, m.nv)), np.zeros((3, m.nv))
+        mujoco.mj_jac(m, d, J, T, d.qpos[:3].copy(), 1)
+        where, wanted = d.qpos[:3].copy(), start[:3] + base[:3]
+        if soles:
+            mujoco.mj_jacSubtreeCom(m, d, C, 0)
+            J[:2], where[:2] = C[:2], d.subtree_com[0][:2]
+            wanted[:2] = np.mean(stood, axis=0)[:2] + base[:2]
+        rows += [J, T, np.eye(m.nv)[rest]]
+        gaps += [wanted - where, _rotation(d.qpos[3:7], turn)]
+        gaps.append((start[7:] + free - d.qpos[7:])[[k - 6 for k in rest]])
+        step = np.linalg.lstsq(np.vstack(rows), np.concatenate(gaps), rcond=1e-3)[0]
+        mujoco.mj_integratePos(m, d.qpos, step, 1.0)
+        if np.abs(step).max() < 1e-6:
+            break
+    return np.array(d.qpos)
+
+
+def _rotation(quaternion: Array, wanted: Array) -> Array:
+    """Return the rotation vector (3,) in world axes from one quaternion to another."""
+    back, turn, vector = np.zeros(4), np.zeros(4), np.zeros(3)
+    mujoco.mju_negQuat(back, quaternion)
+    mujoco.mju_mulQuat(turn, wanted, back)
+    mujoco.mju_quat2Vel(vector, turn, 1.0)
+    return vector
+
+
+def simulated(
+    legged: Legged, stage: Stage, goal: CubicSpline, falls: bool, rng: np.random.Generator
+) -> Array:
+    """Return rows of t, pose (7), joints, torques and felt contacts, from `SETTLING` on."""
+    m, d = stage.m, mujoco.MjData(stage.m)
+    d.qpos[:] = _standing(stage)
+    if falls:
+        m.geom_contype[:] = m.geom_conaffinity[:] = 0
+        d.qvel[3:6] = rng.normal(0.0, 0.2, 3)
+    steps = round(float(goal.x[-1] - 0.1) / STEP)
+    times = np.arange(steps) * STEP
+    wanted, rates = goal(times), goal(times, 1)
+    every, force, rows = round(1.0 / RATE / STEP), np.zeros(6), []
+    for k in range(steps):
+        q = d.qpos.copy()
+        d.ctrl[:] = legged.kp * (wanted[k] - q[7:]) + legged.kd * (rates[k] - d.qvel[6:])
+        mujoco.mj_step(m, d)
+        if k % every or times[k] < SETTLING:
+            continue
+        if abs(d.xmat[1][6]) > np.sin(STEEPEST):
+            break
+        felt = np.zeros(len(stage.feet))
+        for number, contact in enumerate(d.contact[: d.ncon]):
+            mujoco.mj_contactForce(m, d, number, force)
+            touched = [not each.isdisjoint(contact.geom.tolist()) for *_, each in stage.feet]
+            felt[touched] += force[0]
+        rows.append(np.r_[times[k], q, d.actuator_force, felt > FELT * stage.weight])
+    return np.array(rows)
 
 
 def _columns(
-    model: RobotModel, log: Array, weight: float, rng: np.random.Generator
+    legged: Legged, model: RobotModel, log: Array, rng: np.random.Generator
 ) -> dict[str, Array]:
+    """Return the columns of a log, with noise."""
     names, n = model.joint_names[6:], model.n_joints - 6
-    t, place, turn = log[:, 0], log[:, 1:4], log[:, 4:8]
-    noisy = place + rng.normal(0, NOISE["place"], place.shape)
-    turn = turn + rng.normal(0, 0.5 * NOISE["turn"], turn.shape)
+    sensors = Sensors(np.full(n, legged.noise), counts=COUNTS, turns=(True,) * n)
+    t, place, turn, q, tau, felt = np.split(log, np.cumsum([1, 3, 4, n, n]), axis=1)
+    place = place + rng.normal(0.0, PLACE_NOISE, place.shape)
+    turn = turn + rng.normal(0.0, 0.5 * TURN_NOISE, turn.shape)
     turn /= np.linalg.norm(turn, axis=1)[:, None]
-    q = log[:, 8 : 8 + n] + rng.normal(0, NOISE["position"], (len(t), n))
-    tau = log[:, 8 + n : 8 + 2 * n] + rng.normal(0, NOISE["torque"] * weight / 10, (len(t), n))
+    q, tau = sensors.positions(q), tau + sensors.errors(rng, len(t), RATE)
     return (
-        {"t": t}
-        | {f"base_{axis}": noisy[:, k] for k, axis in enumerate("xyz")}
-        | {f"base_q{axis}": turn[:, k] for axis, k in zip("wxyz", range(4), strict=True)}
+        {"t": t[:, 0]}
+        | {f"base_{axis}": place[:, k] for k, axis in enumerate("xyz")}
+        | {f"base_q{axis}": turn[:, k] for k, axis in enumerate("wxyz")}
         | {f"q_{name}": q[:, k] for k, name in enumerate(names)}
         | {f"tau_{name}": tau[:, k] for k, name in enumerate(names)}
-        | {f"contact_{each.frame}": log[:, 8 + 2 * n + k] for k, each in enumerate(model.contacts)}
+        | {f"contact_{foot}": felt[:, k] for k, foot in enumerate(legged.feet)}
     )
-
-
-def measured(model: RobotModel, rest: Array, motions: list[str], seed: int, method: str) -> dict:
-    """Identify one robot and hold the result against the truth."""
-    rng, began = np.random.default_rng(seed), time.process_time()
-    truth = altered(model, rng)
-    logs = [recorded(truth, kind, rest, rng) for kind in motions]
-    study = identify(
-        model,
-        logs,
-        holdout="last:0.25",
-        method=method,
-        drive=DriveSet.parse("viscous"),
-        torque_source="motor",
-    )
-    result, validation = study.result, study.validations
-    drive = result.base.drive
-    chi = np.concatenate(
-        [
-            truth.parameters,
-            *([[VISCOUS]] * 0),
-            np.r_[np.zeros(6), np.full(truth.n_joints - 6, VISCOUS)],
-        ]
-    )
-    exact = find_base_parameters(model, drive).values(chi)
-    held = np.abs(result.estimates - exact) <= 1.96 * result.std_errors
-    return {
-        "robot": model.name,
-        "motions": motions,
-        "seed": seed,
-        "method": method,
-        "error": [round(v.metrics_as_built.relative_error, 4) for v in validation],
-        "error_cad": [round(v.metrics_cad.relative_error, 4) for v in validation],
-        "coverage": round(float(held.mean()), 3),
-        "mass": [
-            round(float(result.estimates[result.base.names.index("m6")]), 4),
-            round(float(truth.parameters.reshape(-1, 10)[:, 9].sum()), 4),
-        ],
-        "cpu_seconds": round(time.process_time() - began, 1),
-    }
-
-
-def main() -> None:
-    """Print one line a seed."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("model")
-    parser.add_argument("contacts", help="such as FL,FR,RL,RR")
-    parser.add_argument("--motion", default="squat,trot,hop,flight")
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--radius", type=float, default=0.02)
-    parser.add_argument("--rest", default="0,0.8,-1.5", help="one leg's joints at rest [rad]")
-    parser.add_argument("--method", default="wls")
-    given = parser.parse_args()
-    contacts = ",".join(
-        str(replace(each, radius=given.radius)) for each in Contact.parse(given.contacts)
-    )
-    model = load_robot(given.model, base="free", contacts=contacts)
-    leg = np.array([float(each) for each in given.rest.split(",")])
-    rest = np.tile(leg, (model.n_joints - 6) // 3)
-    for seed in range(given.seeds):
-        found = measured(model, rest, given.motion.split(","), seed, given.method)
-        print(json.dumps(found), flush=True)
-
-
-if __name__ == "__main__":
-    main()

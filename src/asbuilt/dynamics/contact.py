@@ -9,6 +9,8 @@ joint.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from asbuilt.arrays import Array
@@ -41,13 +43,18 @@ def contact_jacobians(model: RobotModel, q: Array) -> tuple[Array, ...]:
     return tuple(found)
 
 
-def contact_basis(model: RobotModel, q: Array, contact: Array) -> Array:
+def contact_basis(
+    model: RobotModel, q: Array, contact: Array, noise: Sequence[float] = ()
+) -> Array:
     """Return orthonormal rows that span those of `J^T f`, shape (m, n, N).
 
-    `contact` (N, n_contacts) is above 0 where a contact is closed; rows of others are zero.
+    `contact` (N, n_contacts) is above 0 where a contact is closed; rows of others are zero. Where
+    equations are divided by the `noise` (n,) of each, so is J.
     """
+    scale = np.asarray(noise) if noise else np.ones(model.n_joints)
     closed = [
-        J * (contact[:, k] > 0.0)[:, None, None] for k, J in enumerate(contact_jacobians(model, q))
+        J / scale * (contact[:, k] > 0.0)[:, None, None]
+        for k, J in enumerate(contact_jacobians(model, q))
     ]
     basis = np.ascontiguousarray(np.concatenate(closed, axis=1).transpose(1, 2, 0))
     orthonormal_rows(basis, DEPENDENT)

@@ -18,8 +18,10 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.information.equation_noise import with_equation_noise
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.workflow.delays import Delays, settle_delays
+from asbuilt.workflow.logged_rates import settle_rates
 from asbuilt.workflow.options import AUTOMATIC
 
 Progress = Callable[[str, float], None]
@@ -138,6 +140,7 @@ def prepare(
     report("filter", 0.0)
     chosen, settled = _chosen_by([*recordings, *validation]), chain or SignalChain()
     if chosen:
+        settled = settle_rates(model, chosen, settled, filters)
         settled = resolve_chain(settled, *chosen, filters=filters)
     if settle is not None:
         settled = settle(settled, _chosen_by(recordings))
@@ -149,19 +152,25 @@ def prepare(
         rule = None if automatic else holdout
         late = settle_delays(model, _chosen_by(recordings), digests, settled, rule, filters)
         settled = late.chain
-    whole = tuple(_samples(item, settled, filters, late) for item in recordings)
+    whole = with_equation_noise(
+        model, [_samples(item, settled, filters, late) for item in recordings]
+    )
     parts = _parts_with_enough(whole, holdout) if automatic else _parts(whole, holdout)
     if parts is None:
         holdout, parts = None, (whole, ())
     training, held_out = parts
+
+    def alike(item: Recorded) -> Samples:
+        return replace(_samples(item, settled, filters), noise=whole[0].noise)
+
     return Prepared(
         chain=settled if chosen else None,
         holdout=holdout,
         checks=checks,
         training=training,
         held_out=held_out,
-        validation=tuple(_samples(item, settled, filters) for item in validation),
-        others=tuple(tuple(_samples(item, settled, filters) for item in group) for group in others),
+        validation=tuple(alike(item) for item in validation),
+        others=tuple(tuple(alike(item) for item in group) for group in others),
         digests=digests,
         delay=late.recordings,
         whole=whole if automatic and holdout is not None else (),

@@ -63,6 +63,9 @@ class Samples:
     contact
         Contacts of a robot with a free base, (N, n_contacts), above 0 where they are closed or may
         be, so that forces act there which nobody measured; None: it touches nothing.
+    noise
+        Noise of the equation of each joint in units of a common one, by which its rows are divided
+        before forces at contacts are projected away; empty: that of all is the same.
     encoder, encoder_at
         Position, velocity and acceleration by a second encoder of each joint, (3, N, n), and its
         side of the drive train, "motor" or "link"; None: joints have one encoder.
@@ -101,6 +104,7 @@ class Samples:
     slowest: tuple[float, ...] = ()
     clock_bound: float = np.inf
     contact: Array | None = None
+    noise: tuple[float, ...] = ()
     encoder: Array | None = None
     encoder_at: EncoderSide = "link"
 

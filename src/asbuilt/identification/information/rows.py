@@ -98,8 +98,10 @@ class SampleBlock:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), in chunks.
 
         A chunk is valid until the next. Rows of a joint that moves slower than `samples.slowest`
-        are zero. `beside` returns further columns of a span of samples, each
-        (L, n), placed before the torque; `plan` has a spare row for each and one more.
+        are zero. Where forces at contacts are projected away, they are in units of `samples.noise`,
+        in which that loses nothing (Aitken, 1935). `beside` returns further columns of a span of
+        samples, each (L, n), placed before the torque; `plan` has a spare row for each and one
+        more.
         """
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
@@ -115,7 +117,10 @@ class SampleBlock:
                 for place, values in enumerate(further, start=-len(further)):
                     columns[place] = values[:, k]
             if samples.contact is not None:
-                basis = contact_basis(plan.model, samples.q[span], samples.contact[span])
+                for k, noise in enumerate(samples.noise):
+                    np.divide(rows[k], noise, out=rows[k])
+                state = samples.q[span], samples.contact[span]
+                basis = contact_basis(plan.model, *state, samples.noise)
                 project(basis, buffer, span.stop - span.start)
             filtered = rows
             if parallel:
@@ -170,7 +175,7 @@ def sample_blocks(
 
 
 class JointFactors:
-    """Reduce rows, and columns beside them, to one factor of each joint for all time blocks."""
+    """Reduce rows to one factor of each joint for all time blocks."""
 
     def __init__(self, plan: RegressorPlan) -> None:
         self._plan = plan
@@ -179,10 +184,10 @@ class JointFactors:
         ]
         self.n_samples = 0
 
-    def add(self, part: SampleBlock, beside: Callable[[slice], Sequence[Array]]) -> None:
-        """Add the rows of a time block, with `beside` as in `SampleBlock.chunks`."""
+    def add(self, part: SampleBlock) -> None:
+        """Add the rows of a time block."""
         self.n_samples += part.n_outputs
-        for chunk in part.chunks(self._plan, beside):
+        for chunk in part.chunks(self._plan):
             for growing, rows in zip(self._growing, chunk, strict=True):
                 growing.append(rows)
 

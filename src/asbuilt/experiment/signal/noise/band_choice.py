@@ -83,6 +83,12 @@ LOWEST_CUTOFF = 7.0
 Friction changes sign within a tenth of a second. Tuned on recordings of UR10e, LWR4+, Med 7,
 AIRBOT, Rokae and TX40; none was kept apart to test it.
 """
+HIGHEST_SHARE = 0.2
+"""Highest default cutoff, as a share of the sampling rate; beyond it central differences take a
+quarter and more of the rates.
+"""
+HIGHEST_SHARE_LOGGED = 0.4
+"""Likewise where accelerations are logged, which nothing differences."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,8 +137,9 @@ def choose_band(
         for segment in segments
     ]
     bandwidth = motion_bandwidth(moved, rate)
-    # Highest default cutoff, as a share of the sampling rate.
-    wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), 0.2 * rate)
+    differenced = not of_velocity or any(segment.qdd is None for segment in segments)
+    highest = HIGHEST_SHARE if differenced else HIGHEST_SHARE_LOGGED
+    wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), highest * rate)
     logged = [(segment.qd if of_velocity else segment.q, segment.tau) for segment in segments]
     noise = noise_limit(
         [(x, tau) for x, tau in logged if x is not None], rate, of_velocity=of_velocity

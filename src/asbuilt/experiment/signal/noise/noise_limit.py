@@ -6,6 +6,9 @@ digits of a file, jitter of a clock. A low-pass at c leaves the noise below c in
 loses the torque above c that the model could predict. Both are squared errors of the predicted
 torque; the cutoff keeps their sum small, as a Wiener filter does (Wiener, Extrapolation,
 Interpolation, and Smoothing of Stationary Time Series, 1949).
+
+A base that floats has no torque to compare with. The noise of its pose is white, as high as the
+spectrum is where no body moves, and its errors are those of the acceleration.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.signal.noise.spectrum import power_density
@@ -35,7 +39,11 @@ class NoiseRules:
     Gravity, friction and other joints add torque at some of them.
     """
     torque_floor: float = 0.3
-    """Share of the sampling rate from which the torque is noise."""
+    """Share of the sampling rate from which the torque, or the pose of a base, is noise."""
+    smoothed: int = 11
+    """Number of bins over which the spectrum of such a pose is smoothed,"""
+    above_noise: float = 4.0
+    """and multiple of the noise that it then exceeds where the base moves."""
     model_error: float = 0.02
     """Smallest error of a model, as a share of the torque's standard deviation."""
     as_good: float = 1.02
@@ -131,6 +139,11 @@ def noise_limit(
         position = np.divide(position, w**2, out=np.zeros_like(position), where=w > 0.0)
     acceleration = w**4 * position
     inertia = _squared_inertia(frequency, position, acceleration, torque)
+    white = np.median(position[frequency > RULES.torque_floor * rate], axis=0)
+    clear = uniform_filter1d(position, RULES.smoothed, axis=0) > RULES.above_noise * white
+    free = clear[frequency >= RULES.lowest].any(axis=0) & ~torque.any(axis=0)
+    torque = np.where(free, clear * np.clip(acceleration - w**4 * white, 0.0, None), torque)
+    inertia = np.where(free, 1.0, inertia)
     if not np.any(inertia > 0.0):
         return None
     excess = (

@@ -1,0 +1,106 @@
+"""Noise of each equation of motion where forces at contacts are projected away.
+
+Equations of a base have the noise of its pose, differentiated twice and multiplied by the mass of
+the whole robot: a force [N], a moment [N m]. Those of the joints have the noise of their torques,
+which is of another size. So there are three sizes of noise. The residual of `P (tau - Y chi)` has
+parts of all equations, `P e`, and for noise that is independent from equation to equation the mean
+square of row k is `sum_j <P_kj^2> sigma_j^2`.
+
+The residual is that of the description. Noise of a pose is in the regressor too, where a fit to it
+explains the noise by bodies that are too light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.contact import contact_basis
+from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    accumulate_stream,
+)
+from asbuilt.identification.result.design_values import design_values
+
+
+@dataclass(frozen=True, slots=True)
+class EquationRules:
+    """Say how the noise of equations is found: own choices."""
+
+    updates: int = 100
+    """Multiplicative updates, of which each brings the variances closer."""
+    largest_ratio: float = 1e3
+    """Largest noise of an equation in units of the least."""
+    samples: int = 2000
+    """Samples of each recording whose projections are averaged."""
+
+
+RULES = EquationRules()
+
+
+def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[Samples, ...]:
+    """Return samples whose equations are weighted by their noise where feet touch the ground.
+
+    The noise is relative to that of the driven joints. Samples of robots without contacts are
+    returned as they are.
+    """
+    if not model.contacts or any(each.contact is None for each in samples):
+        return tuple(samples)
+    base = find_base_parameters(model, usual_drive(model, samples[0].torque_source))
+    seen = accumulate_stream(model, base, samples)
+    squares = seen.residual_energy(_described(model, seen)) / seen.n_samples
+    shares = np.mean([_squared_projection(model, each) for each in samples], axis=0)
+    group = np.array(
+        [
+            2 if k >= model.n_floating else int(model.joints[k].is_revolute)
+            for k in range(len(shares))
+        ]
+    )
+    variances = equation_variances(shares @ np.eye(3)[group], squares)
+    noise = np.sqrt(variances / variances[2])[group]
+    return tuple(replace(each, noise=tuple(noise.tolist())) for each in samples)
+
+
+def _described(model: RobotModel, seen: SquareRootInformation) -> Array:
+    """Return base parameters (p,) as described; what the description lacks is fitted."""
+    values, factor = design_values(model, seen.base), seen.stacked()
+    unknown = np.isnan(values)
+    values[unknown] = 0.0
+    rest = factor[:, -1] - factor[:, :-1] @ values
+    columns = factor[:, :-1][:, unknown]
+    values[unknown] = np.linalg.lstsq(columns, rest, rcond=None)[0]
+    return values
+
+
+def equation_variances(shares: Array, squares: Array) -> Array:
+    """Return variances x (m,) of independent noise for which `shares x` is `squares`.
+
+    `shares` (n, m) are the mean squares of the projection and `squares` (n,) those of residuals.
+    The updates raise the likelihood of normal residuals (Fevotte, Bertin and Durrieu, Neural
+    Computation 21, 2009, with exponent 1/2), from equal variances on.
+
+    >>> equation_variances(np.array([[1.0, 0.0], [0.5, 0.5]]), np.array([4.0, 2.5])).round(2)
+    array([4., 1.])
+    """
+    squares = np.maximum(squares, squares.max() / RULES.largest_ratio**2)
+    x = np.full(shares.shape[1], float(squares.mean()))
+    for _ in range(RULES.updates):
+        expected = shares @ x
+        x = x * np.sqrt((shares.T @ (squares / expected**2)) / (shares.T @ (1.0 / expected)))
+    return np.asarray(np.maximum(x, x.max() / RULES.largest_ratio**2))
+
+
+def _squared_projection(model: RobotModel, samples: Samples) -> Array:
+    """Return the mean of `P_kj^2` (n, n) over samples."""
+    assert samples.contact is not None
+    at = np.linspace(0, samples.t.size - 1, min(RULES.samples, samples.t.size)).astype(np.int64)
+    basis = contact_basis(model, samples.q[at], samples.contact[at])
+    P = np.eye(model.n_joints) - np.einsum("ikn,ijn->nkj", basis, basis)
+    return np.asarray(np.mean(P**2, axis=0))

@@ -1,0 +1,29 @@
+"""95 % intervals of robots on legs hold the bodies that MuJoCo moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from legged_robots import LEGGED
+from legs import Walk, parameter_errors
+
+LEAST = 0.93
+"""Least share of 95 % intervals with the truth."""
+
+
+@pytest.mark.parametrize(("robot", "mass"), [("solo12", 2.5013), ("go2", 15.207)])
+def test_robots_weigh_what_their_figures_say(robot: str, mass: float) -> None:
+    model = LEGGED[robot].model()
+    assert sum(link.inertia.mass for link in model.links) == pytest.approx(mass, abs=2e-3)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("robot", "motion"), [("solo12", "step"), ("solo12", "flight"), ("go2", "step")]
+)
+def test_intervals_hold_the_truth(robot: str, motion: str) -> None:
+    ((error, std_error),) = parameter_errors(Walk(robot, (motion,)), 1)
+    assert np.mean(np.abs(error) < 1.959964 * std_error) >= LEAST
