@@ -75,14 +75,16 @@ def recorded_by_mujoco(
     noise: float = 0.0,
     steps: float = 0.0,
     stribeck: float = 0.0,
+    soft: float = 0.002,
     step: float = 1e-3,
 ) -> Recording:
     """Return a recording of MuJoCo's own position actuators, loaded from MJCF text.
 
     Goals are moved by the deadband and the lead, and force ranges by the speed, before each step.
     Commands have `steps` [rad] up and down beside their sines. `stribeck` [N m] is what friction
-    near rest has more; it fades at 0.1 rad/s. MuJoCo's first-order steps of `step` [s] are those of
-    a command that acts `step / 2` earlier.
+    near rest has more; it fades at 0.1 rad/s. Joints stop in the time `soft` [s] that dry
+    friction has in MuJoCo. First-order steps of `step` [s] are those of a command that acts
+    `step / 2` earlier.
     """
     actuators = "".join(
         f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kd}"'
@@ -98,7 +100,7 @@ def recorded_by_mujoco(
     robot = mujoco.MjModel.from_xml_string(text)
     robot.opt.timestep = step
     robot.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    robot.dof_solref[:], robot.dof_solimp[:, :2] = [0.002, 1.0], 0.9999
+    robot.dof_solref[:], robot.dof_solimp[:, :2] = [soft, 1.0], 0.9999
     robot.jnt_actfrclimited[:] = 0
     data, every = mujoco.MjData(robot), round(1.0 / (rate * step))
     t = np.arange(0.0, duration, 1.0 / rate)

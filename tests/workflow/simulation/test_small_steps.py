@@ -18,10 +18,11 @@ STEP, LATE = 1e-4, 0.010
 SERVO = PositionServo(kp=(60.0, 60.0, 40.0, 25.0), kd=(2.0, 2.0, 1.0, 0.6), delay=LATE)
 
 
-def studied(seed: int, *, refine: bool = True) -> Study:
+def studied(seed: int, *, refine: bool = True, **settings: float) -> Study:
     """Return the study of an arm that MuJoCo moved in steps of .1 ms, its delay unknown."""
     model = four_joint_arm(seed)
-    recording = recorded_by_mujoco(model, SERVO, duration=24.0, seed=seed, noise=1e-4, step=STEP)
+    given = {"duration": 24.0, "noise": 1e-4, "step": STEP} | settings
+    recording = recorded_by_mujoco(model, SERVO, seed=seed, **given)
     recording = replace(recording, qd=None, servo=replace(SERVO, delay=None))
     options = StudyOptions(holdout="blocks:2s:3", refine="rollout" if refine else None)
     return identify(model, recording, options=options)
@@ -69,3 +70,20 @@ def test_a_refinement_that_simulates_worse_is_not_followed(
     assert "refinement_rejected" in [finding.code for finding in study.findings]
     np.testing.assert_array_equal(study.result.estimates, linear.result.estimates)
     assert study.result.servo == linear.result.servo
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("seed", "soft"), [(2, 0.002), (2, 0.02), (3, 0.02)])
+def test_soft_dry_friction_is_no_stribeck_friction(seed: int, soft: float) -> None:
+    """Joints that stop softly seem to stick: 1.5 N m at rest beside .26 in motion were found."""
+    study = studied(seed, soft=soft)
+    assert study.refined is not None
+    assert study.refined.kept
+    assert "stribeck" not in study.result.base.drive.keys
+
+
+@pytest.mark.study
+def test_stribeck_friction_that_moves_the_robot_is_found() -> None:
+    """A third of the Coulomb friction of the arm, in friction without softness."""
+    study = studied(1, soft=4e-4, stribeck=0.15)
+    assert "stribeck" in study.result.base.drive.keys

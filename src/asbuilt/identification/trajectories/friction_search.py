@@ -20,6 +20,13 @@ FADING = ("stribeck",)
 """Terms of friction near rest: of either sign for torques, but one below zero is no friction."""
 
 
+BREAKAWAY = 3.0
+"""Largest friction at rest in that of fast motion. Dry hard steel has .78 / .42 = 1.9 (Marks'
+Standard Handbook for Mechanical Engineers, table of coefficients of friction); the rest is left to
+lubricant that parts the surfaces. What holds a joint more is no friction of two surfaces, but soft
+contact of a simulator, a deadband, or a servo at its limit."""
+
+
 def simulated_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     """Return the prior of a robot whose friction near rest is at least that in motion.
 
@@ -63,6 +70,17 @@ def promised_fall(objective: Objective, found: Refinement, term: DriveTerm) -> f
     added = np.zeros_like(free)
     added[links : links + len(per)] = per
     return quadratic.fall(free) - quadratic.fall(free & ~added)
+
+
+def is_friction_at_rest(drive: DriveSet, values: Array, errors: Array) -> bool:
+    """Return whether friction near rest has sizes of two surfaces, within two standard errors.
+
+    `values` and `errors` are those of the drive terms, (n, columns_per_joint).
+    """
+    of = np.array([term.key for term in drive.terms for _ in term.symbols])
+    added, least = (x[:, np.isin(of, FADING)].sum(axis=1) for x in (values, values - 2.0 * errors))
+    moving = values[:, of == "coulomb"].sum(axis=1)
+    return bool(np.all((added <= 0.0) | (least <= (BREAKAWAY - 1.0) * moving)))
 
 
 def _new(drive: DriveSet, wider: DriveSet) -> Mask:

@@ -15,6 +15,7 @@ from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.experiment.virtual.physics import Physics, mujoco_module
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+from asbuilt.identification.trajectories.stepping import SLOWEST
 from asbuilt.identification.trajectories.windows import Windows
 
 AT_JOINTS = ("armature", "viscous", "coulomb", "offset")
@@ -23,8 +24,6 @@ AT_MOTORS = ("motor_armature", "motor_viscous", "motor_coulomb")
 """Drive terms that a fixed tendon over the joints of a motor has."""
 DIVERGED = 1e4
 """Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
-SLOWEST = 1e-9
-"""Speed at which the friction of a joint at rest is evaluated [rad/s or m/s]."""
 
 
 def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:

@@ -18,6 +18,12 @@ TURN = 2.0 * np.pi
 """Distance [rad] from the measured position at which a revolute joint counts as diverged."""
 
 
+def position_unit(model: RobotModel) -> str:
+    """Return the unit of a thousandth of the joints' positions."""
+    kinds = {joint.is_revolute for joint in model.joints}
+    return "mrad or mm" if len(kinds) > 1 else "mrad" if kinds == {True} else "mm"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RolloutErrors:
     """Hold position errors of simulated windows, in rad or m; NaN if a window diverged.
@@ -40,6 +46,8 @@ class RolloutErrors:
         one that it is compared with; the whole window if none did.
     rms_until, rms_all_until
         As `rms` and `rms_all`, over the samples before that time; NaN if there are none.
+    unit
+        Of a thousandth of the positions, as `position_unit` has it.
     """
 
     rms: Array
@@ -50,6 +58,17 @@ class RolloutErrors:
     until: float
     rms_until: Array
     rms_all_until: float
+    unit: str
+
+    @property
+    def text(self) -> str:
+        """The error of all joints with its unit, or that the simulation diverges."""
+        return "diverges" if self.diverged else f"{1e3 * self.rms_all:.3g} {self.unit}"
+
+    @property
+    def text_until(self) -> str:
+        """The error of all joints before any simulation diverges, with its unit."""
+        return f"{1e3 * self.rms_all_until:.3g} {self.unit}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers, None for what is not finite."""
@@ -167,6 +186,7 @@ def rollout_errors(
         int(sum(np.sum(_lost(each)) for each in simulated)),
         min(until, max(float(t[-1]) for t in times)),
         *_rms(early),
+        position_unit(model),
     )
 
 

@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial import KDTree
 
 from asbuilt.arrays import Array
+from asbuilt.identification.calibration.delay import RULES
 from asbuilt.identification.trajectories.windows import Windows
 
 
@@ -29,8 +30,6 @@ class Repetition:
 SAME = Repetition()
 ROUNDING = 1e-3
 """Share of a period by which times of samples and commands differ by rounding."""
-LONGEST_DELAY = 0.3
-"""Longest delay [s] of the command that is tried."""
 
 
 def repeated_windows(windows: Sequence[Windows]) -> tuple[list[Array], list[Array]] | None:
@@ -90,7 +89,7 @@ def delayed_command(windows: Windows) -> Array | None:
 
     found = minimize_scalar(
         lambda delay: float(np.mean((delayed(delay) - windows.q)[:, 1:] ** 2)),
-        bounds=(0.0, LONGEST_DELAY),
+        bounds=(0.0, RULES.farthest),
         method="bounded",
     )
     return delayed(float(found.x))

@@ -6,6 +6,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.tables import Cell, Column, Shown, Table, significant
+from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
 
 
@@ -28,12 +29,6 @@ def joint_table(model: RobotModel, rollout: Rollout) -> Table:
     )
     title = f"Position error of rollouts of {rollout.horizon:g} s, held out"
     return Table(columns, rows, title).filled()
-
-
-def position_unit(model: RobotModel) -> str:
-    """Return the unit of a thousandth of the joints' positions."""
-    kinds = {joint.is_revolute for joint in model.joints}
-    return "mrad or mm" if len(kinds) > 1 else "mrad" if kinds == {True} else "mm"
 
 
 def in_milli(value: float | None) -> Cell:

@@ -284,12 +284,10 @@ def _until(rollout: Rollout) -> str:
     there = [(name, errors) for name, errors in both if errors is not None]
     until = there[0][1].until
     said = [
-        f"{1e3 * errors.rms_all_until:.3g} {name}"
-        for name, errors in there
-        if np.isfinite(errors.rms_all_until)
+        f"{errors.text_until} {name}" for name, errors in there if np.isfinite(errors.rms_all_until)
     ]
     began = f"the first after {until:.2g} s"
-    return f"{began}. The error before is {joined(said)} [mrad or mm]" if said else began
+    return f"{began}. The error before is {joined(said)}" if said else began
 
 
 def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:

@@ -15,9 +15,14 @@ from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.effects.selection import RULES as EFFECT_RULES
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.servo.servo_estimate import ServoEstimate, precedes_command
-from asbuilt.identification.trajectories.friction_search import promised_fall, widened
+from asbuilt.identification.trajectories.friction_search import (
+    is_friction_at_rest,
+    promised_fall,
+    widened,
+)
 from asbuilt.identification.trajectories.refined_fit import (
     RefinedFit,
     refine_fit,
@@ -135,8 +140,9 @@ def refine_study(
     report
         Called with the name of a step and the fraction done.
     choose
-        Whether Stribeck friction is added if by Akaike's criterion the trajectories call for it:
-        torques hardly show it, since joints at rest, and slow ones under a filter, do not count.
+        Whether Stribeck friction is added if by Akaike's criterion the trajectories call for it and
+        motion that was not fitted is simulated better with it, as of every effect: torques hardly
+        show it, since joints at rest, and slow ones under a filter, do not count.
 
     Raises
     ------
@@ -179,7 +185,8 @@ def refine_study(
         before = None if driven is None else _servo_as_refined(driven, found)
         other = refined(fitted(wider), before, begin)
         iterations += other.refinement.iterations
-        if _gained(found, other) > RULES.worth * n:
+        gained = _gained(found, other) > RULES.worth * n
+        if gained and _is_better(found, other, wider, parts.held_out or parts.trained, horizon):
             found, drive = replace(other, start=found.start), wider
     seconds = time.perf_counter() - began
     tried = Refined(horizon, iterations, seconds, found.undetermined, found.start)
@@ -217,6 +224,29 @@ def _gained(found: RefinedFit, other: RefinedFit) -> float:
     return one - two if np.isfinite(two) else -np.inf
 
 
+def _is_better(
+    found: RefinedFit,
+    other: RefinedFit,
+    wider: DriveSet,
+    parts: Sequence[Simulated],
+    horizon: float,
+) -> bool:
+    """Return whether a fit with more terms has possible friction and simulates parts better.
+
+    Errors must fall by what an effect must be worth: friction whose sign changes softly is
+    explained by some more at rest too, in fitted windows alone.
+    """
+    if not is_friction_at_rest(wider, other.robot.values, other.value_errors):
+        return False
+    try:
+        before, after = _errors(found.robot, other.robot, parts, horizon)
+    except RecordingError:
+        return False
+    if before is None or after is None or after.diverged > before.diverged:
+        return False
+    return after.rms_all_until**2 < (1.0 - EFFECT_RULES.worth) * before.rms_all_until**2
+
+
 def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
     """Return what of a servo is unknown, so that trajectories are fitted to it."""
     if servo is None:
@@ -242,20 +272,27 @@ def _stiffness_spread(servo: ServoEstimate | None) -> float:
 def _validated(refined: Refined, robot: SimulatedRobot, parts: Sequence[Simulated]) -> Refined:
     """Return the refinement with the errors of rollouts before and after it."""
     try:
-        windows = thinned_windows(_windows(parts, refined.horizon))
+        before, after = _errors(refined.start, robot, parts, refined.horizon)
     except RecordingError:
         return refined
-    found = roll_out(
-        robot.model,
-        windows,
-        [_driven(refined.start, cut) for cut in windows],
-        [_driven(robot, cut) for cut in windows],
-    )
-    before, after = found.cad, found.as_built
     if before is None or after is None:
         return replace(refined, before=before, after=after, kept=after is not None)
     kept = (after.diverged, after.rms_all_until) <= (before.diverged, before.rms_all_until)
     return replace(refined, before=before, after=after, kept=kept)
+
+
+def _errors(
+    one: SimulatedRobot, other: SimulatedRobot, parts: Sequence[Simulated], horizon: float
+) -> tuple[RolloutErrors | None, RolloutErrors | None]:
+    """Return the errors of two robots, None where one cannot start; raises as `_windows`."""
+    windows = thinned_windows(_windows(parts, horizon))
+    found = roll_out(
+        other.model,
+        windows,
+        [_driven(one, cut) for cut in windows],
+        [_driven(other, cut) for cut in windows],
+    )
+    return found.cad, found.as_built
 
 
 def refinement_findings(refined: Refined | None) -> tuple[Finding, ...]:
@@ -264,9 +301,7 @@ def refinement_findings(refined: Refined | None) -> tuple[Finding, ...]:
         return ()
     if not refined.kept:
         before, after = (
-            "a simulation that cannot start"
-            if each is None
-            else f"{1e3 * each.rms_all_until:.3g} mrad"
+            "a simulation that cannot start" if each is None else each.text_until
             for each in (refined.before, refined.after)
         )
         return (

@@ -16,12 +16,11 @@ from asbuilt.description.appearance import link_solids
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
-from asbuilt.validation.rollout.joint_errors import position_unit
+from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
 from asbuilt.writers.pictures.view import write_frames
-from asbuilt.writers.tables.rollout_tables import error_text
 
 FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 """Factors by which errors are enlarged."""
@@ -113,9 +112,8 @@ def _frames(model: RobotModel, shown: _Shown, rollout: Rollout, width: int) -> I
     camera = Camera.around(view, *size)
     lines = {name: _lines(model, camera, shown, name) for name in shown.errors}
     canvas = Pillow.new("RGB", (width, TITLE + size[1] + STRIP + 2 * MARGIN), "white")
-    unit = position_unit(model)
-    boxes = _titled(canvas, shown, rollout, size, unit)
-    curves = _curves(canvas, shown, TITLE + size[1] + MARGIN, width, unit)
+    boxes = _titled(canvas, shown, rollout, size)
+    curves = _curves(canvas, shown, TITLE + size[1] + MARGIN, width, position_unit(model))
     for k, robot in enumerate(skeleton_frames(view, *size)):
         frame = canvas.copy()
         for name, left in boxes.items():
@@ -159,7 +157,7 @@ def _draw_simulated(
 
 
 def _titled(
-    canvas: Pillow.Image, shown: _Shown, rollout: Rollout, size: tuple[int, int], unit: str
+    canvas: Pillow.Image, shown: _Shown, rollout: Rollout, size: tuple[int, int]
 ) -> dict[str, int]:
     """Write the titles of the panels; return the left edge of each."""
     draw = ImageDraw.Draw(canvas)
@@ -168,7 +166,7 @@ def _titled(
     for k, name in enumerate(shown.errors):
         left = MARGIN + k * (size[0] + MARGIN)
         total = {"CAD": rollout.cad, "as built": rollout.as_built}[name]
-        known = "" if total is None else f": {error_text(total, unit)}"
+        known = "" if total is None else f": {total.text}"
         draw.text((left, 6), f"{TITLES[name]}{known}", fill=COLOURS[name], font=_font(15))
         draw.text(
             (left, 26), f"measured: grey, simulated: lines{enlarged}", fill=QUIET, font=_font(11)

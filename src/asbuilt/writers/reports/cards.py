@@ -7,7 +7,7 @@ from asbuilt.identification.result.determination import Determination
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import Comparison
-from asbuilt.validation.rollout.joint_errors import position_unit
+from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.page import Card, Mood

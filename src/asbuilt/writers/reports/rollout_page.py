@@ -9,7 +9,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.tables import share
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.rollout.errors import RolloutErrors
-from asbuilt.validation.rollout.joint_errors import joint_table, position_unit
+from asbuilt.validation.rollout.joint_errors import joint_table
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
@@ -25,7 +25,6 @@ from asbuilt.writers.reports.page import (
     table_markup,
 )
 from asbuilt.writers.reports.sections.rollout import TEMPLATE, rollout_fields
-from asbuilt.writers.tables.rollout_tables import error_text
 
 
 def write_rollouts(
@@ -58,7 +57,7 @@ def rollout_html(
     """Return the page of rollouts as text."""
     longest = rollouts[-1]
     logs = sorted({recording_name(each.source) for each in longest.by_recording})
-    cards, words = _cards(model, longest), "The measured robot in grey, the simulated one as lines"
+    cards, words = _cards(longest), "The measured robot in grey, the simulated one as lines"
     moving = () if animation is None else (image_markup(_address(animation), words),)
     joints = [
         table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
@@ -78,8 +77,8 @@ def rollout_html(
     )
 
 
-def _cards(model: RobotModel, rollout: Rollout) -> list[Card]:
-    unit, horizon = position_unit(model), f"over {rollout.horizon:g} s"
+def _cards(rollout: Rollout) -> list[Card]:
+    horizon = f"over {rollout.horizon:g} s"
     cad, built = rollout.cad, rollout.as_built
     better = cad is not None and built is not None and built.rms_all_until < cad.rms_all_until
     said: tuple[tuple[Mood, RolloutErrors | None, str], ...] = (
@@ -92,11 +91,7 @@ def _cards(model: RobotModel, rollout: Rollout) -> list[Card]:
         ),
         ("neutral", rollout.floor, "between repetitions of a command"),
     )
-    cards = [
-        Card(mood, error_text(errors, unit), label)
-        for mood, errors, label in said
-        if errors is not None
-    ]
+    cards = [Card(mood, errors.text, label) for mood, errors, label in said if errors is not None]
     if better and cad is not None and built is not None:
         less = 1.0 - built.rms_all_until / cad.rms_all_until
         until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""

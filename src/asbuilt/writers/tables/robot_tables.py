@@ -132,7 +132,7 @@ def _about_com(link: Link) -> Array:
 
 
 def _centre(link: Link) -> str:
-    return _vector(link.inertia.com) if link.inertia_known and link.inertia.mass > 0 else "-"
+    return _vector(link.inertia.com) if link.has_mass else "-"
 
 
 def _moments(link: Link) -> str:

@@ -11,8 +11,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Table, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors
-from asbuilt.validation.rollout.joint_errors import in_milli, joint_table, position_unit
+from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors, position_unit
+from asbuilt.validation.rollout.joint_errors import in_milli, joint_table
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.simulation.refinement import Refined
 
@@ -56,8 +56,7 @@ def refined_text(refined: Refined) -> str:
         f" ({refined.seconds:.3g} s)"
     )
     if refined.before is not None and refined.after is not None:
-        before, after = (1e3 * each.rms_all for each in (refined.before, refined.after))
-        said += f": rollout error {before:.3g} before, {after:.3g} after [mrad or mm]"
+        said += f": rollout error {refined.before.text} before, {refined.after.text} after"
     said += "" if refined.kept else ", which is not followed"
     return wrapped(said + ".") + "\n"
 
@@ -97,11 +96,6 @@ def motion_table(model: RobotModel, rollout: Rollout) -> Table:
         ("mean of recordings", rollout.n_windows, *means),
     )
     return Table(columns, rows, f"Rollouts of {rollout.horizon:g} s by recording").filled()
-
-
-def error_text(errors: RolloutErrors, unit: str) -> str:
-    """Return the error of all joints in a unit of `position_unit`, or that it diverges."""
-    return "diverges" if errors.diverged else f"{1e3 * errors.rms_all:.3g} {unit}"
 
 
 def _shown(errors: RolloutErrors | None) -> Cell:

@@ -11,6 +11,7 @@ from asbuilt.writers.programs.format import (
     ProgramFormat,
     ProgramRequest,
 )
+from asbuilt.writers.programs.formats.plain_csv import DECIMALS
 from asbuilt.writers.programs.naming import yaml_string
 from asbuilt.writers.programs.program_text import (
     GAINS_TO_FILL_IN,
@@ -20,9 +21,6 @@ from asbuilt.writers.programs.program_text import (
     render,
     sheet_text,
 )
-
-DECIMALS = 9
-"""Decimals of positions, velocities and accelerations."""
 
 
 class Ros2Format(ProgramFormat):

@@ -56,7 +56,7 @@ const asbuiltPlot = (function () {
     if (!holder) return;
     const width = holder.clientWidth || 680;
     const height = holder.clientHeight || 260;
-    const left = 52;
+    const left = 64;
     const top = spec.legend ? (width < 560 ? 66 : 26) : 8;
     const bottom = height - 40;
     holder.textContent = "";

@@ -12,6 +12,7 @@ from asbuilt.writers.models.simulators.simulator_format import (
     ExportedDrives,
     SimulatorFormat,
 )
+from asbuilt.writers.models.urdf import UNLIMITED
 
 HEAD = '''"""Actuators of {origin}.
 
@@ -43,8 +44,6 @@ def actuators(physics_step):
 DELAYED = """
             min_delay=round(DELAY / physics_step),
             max_delay=round(DELAY / physics_step),"""
-UNLIMITED = 1e9
-"""Effort limit that stands for none [N m or N]: a joint that a table lacks would have zero."""
 MOTOR = """
             saturation_effort={effort!r},
             velocity_limit={speeds},"""
@@ -62,6 +61,7 @@ class IsaacLab(SimulatorFormat):
 
     def document(self, drives: ExportedDrives, path: Path) -> tuple[str, tuple[str, ...]]:
         """Return the module and its notes."""
+        # A joint that the table lacks would have a limit of zero.
         limits = {joint.name: min(joint.limits.torque, UNLIMITED) for joint in drives.plain.joints}
         limited = any(limit < UNLIMITED for limit in limits.values())
         tables = {
