@@ -102,6 +102,7 @@ def test_a_file_extends_another_description(tmp_path: Path) -> None:
         (MOTORS + '[[motors]]\nname = "m2"\n' + WRIST, "motor 'm2' is given twice"),
         ("[[couplings]]\nj3 = { j2 = nan }\n", "finite factors"),
         ("[[couplings]]\nj3 = {}\n", "finite factors"),
+        ("[[couplings]]\nj3 = { j3 = 2.0 }\n", "move with itself"),
         ('[[couplings]]\nj3 = { j2 = 1.0 }\nmotor = "j2"\n', "give one joint and what moves it"),
         ('[[couplings]]\nmotor = "j2"\n', "turns is missing"),
     ],
@@ -115,6 +116,7 @@ def test_contradictions_are_named(more: str, message: str) -> None:
     ("text", "message"),
     [
         ('extends = "none.urdf"\n', "where there is no file"),
+        ('extends = "robot.toml"\n', "more than 8 files extend one another"),
         (f'extends = "none.urdf"\n{LINKS}', "links cannot be said again"),
     ],
 )

@@ -61,3 +61,8 @@ def test_a_damaged_page_is_refused(damage, tmp_path) -> None:
     path.write_text(json.dumps(page))
     with pytest.raises(DescriptionError, match=r"page\.json has no robot as built"):
         read_sibling(path)
+
+
+def test_a_page_without_end_is_refused() -> None:
+    with pytest.raises(DescriptionError, match=r"/dev/zero"):
+        read_sibling("/dev/zero")

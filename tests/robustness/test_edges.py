@@ -13,6 +13,8 @@ from asbuilt.cli.arguments.options import distinct_logs
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.excitation.motions.motion_csv import read_motion
+from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
+from asbuilt.experiment.logs.formats.log_format import table_from_variables
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.writers.pictures.motion_view import MotionView
 from command_line import call
@@ -198,3 +200,27 @@ def test_an_entry_of_another_robot_is_no_entry(
     flat = "".join(out.split())
     assert f"logs/1/{foreign.name}isdamaged" in flat
     assert f"itistheentrylogs/2/{foreign.name}" in flat
+
+
+def test_columns_by_the_thousand_are_not_compared_pair_by_pair() -> None:
+    columns = {f"x{k}": np.sin(np.arange(50.0) / (k + 1)) for k in range(4000)}
+    assert DRAFT in suggest_sheet(columns, load_robot("two-link"))
+
+
+def test_a_second_encoder_beyond_what_robots_log_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path, t = tmp_path / "log.csv", np.arange(300) / 100
+    q, far = np.stack([np.sin(t), np.cos(t)]), np.full(300, 1e308)
+    rows = np.stack([t, *q, far, q[1], *q], axis=1)
+    names = "t,q_motor_1,q_motor_2,q_link_1,q_link_2,tau_1,tau_2"
+    np.savetxt(path, rows, delimiter=",", header=names, comments="")
+    status, _, err = call(capsys, "identify", "two-link", path)
+    assert status == 1
+    assert "second encoder of joint_1 are not usable" in err
+
+
+def test_complex_variables_are_left_out_by_name() -> None:
+    table = table_from_variables("x.npz", {"t": np.arange(9.0), "tau_1": np.arange(9) * 1j})
+    assert list(table.columns) == ["t"]
+    assert "tau_1" in table.notes[0]

@@ -242,7 +242,12 @@ class RobotModel:
     @property
     def has_masses(self) -> bool:
         """Whether the description gives the mass of some link."""
-        return any(link.inertia_known and link.inertia.mass > 0.0 for link in self.links)
+        return any(link.has_mass for link in self.links)
+
+    @property
+    def has_every_mass(self) -> bool:
+        """Whether the description gives the mass of each link."""
+        return all(link.has_mass for link in self.links)
 
     @property
     def n_floating(self) -> int:

@@ -6,7 +6,6 @@ so that whatever is regularised toward CAD is regularised toward the sibling.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.description.structure.parts import Joint
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
+from asbuilt.untrusted import parsed_json, read_text
 
 DRIVES = ("armature", "viscous", "coulomb", "offset")
 """Drive values that a sibling has."""
@@ -106,8 +106,9 @@ def read_sibling(path: str | Path) -> Sibling:
     DescriptionError
         If the file does not hold them.
     """
+    text = read_text(Path(path), "robot as built", DescriptionError)
     try:
-        document = json.loads(Path(path).read_text())
+        document = parsed_json(text)
         found = document.get("sibling", document)
         links = {name: tuple(map(float, values)) for name, values in found["links"].items()}
         drives = {
@@ -117,7 +118,7 @@ def read_sibling(path: str | Path) -> Sibling:
         if any(len(values) != 10 or not np.all(np.isfinite(values)) for values in links.values()):
             raise ValueError("a link has ten finite inertial parameters")
         return Sibling(str(found["robot"]), links, drives)
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as problem:
+    except (KeyError, TypeError, ValueError, AttributeError) as problem:
         raise DescriptionError(
             f"{path} has no robot as built: {type(problem).__name__}: {problem}",
             cure=Cure("give the JSON file of a robot's page, with links and drives"),

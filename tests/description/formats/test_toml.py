@@ -201,6 +201,11 @@ BROKEN = {
         link("dh = {}\nlimits = { velocity = -1 }"),
         r"limits\.velocity: .*greater than 0, got -1",
     ),
+    "truth as mass": (link("dh = {}\nmass = true\ncom = [0,0,0]"), r"mass: .*got true"),
+    "truth as term": (
+        link("dh = {}\ndrive = { terms = { stribeck = { Fs = true } } }"),
+        r"number is expected, got true",
+    ),
     "zero axis": (link("origin = {}\naxis = [0, 0, 0]"), r"axis has length zero"),
     "no rotation": (
         link("origin = { rotation = [[1,0,0],[0,1,0],[0,0,2]] }"),

@@ -366,6 +366,8 @@ def test_clocks_in_other_units(
     assert f"look like {unit}" in found.message
     assert f'time = "{unit}"' in str(found.cure)
     assert finding(iiwa, replace(clean, t=clean.t / 1e3), "clock_unit").severity == "error"
+    beyond = finding(iiwa, replace(clean, t=clean.t * 1e300), "clock_unit")
+    assert "no known unit" in beyond.message
     flipped = check_recording(iiwa, replace(clean, t=clean.t * factor, tau=-clean.tau))
     assert [item.code for item in flipped.errors] == ["clock_unit"]
 

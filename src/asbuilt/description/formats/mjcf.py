@@ -154,7 +154,7 @@ def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list
     previous = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(warnings.append)
     try:
-        return mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode")), warnings
+        compiled = mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
     except RecursionError:
         raise DescriptionError(
             f"{source}: the elements are nested too deeply; MuJoCo allows about 500 bodies in a row"
@@ -165,6 +165,12 @@ def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list
         ) from None
     finally:
         mujoco.set_mju_user_warning(previous)
+    unset = next((warning for warning in warnings if "NaN" in warning), None)
+    if unset is not None:  # MuJoCo takes such a number for one that is not given
+        raise DescriptionError(
+            f"{source}: a number is not finite ({unset}); give it, or leave it out"
+        )
+    return compiled, warnings
 
 
 def _without_shapes(root: Element, source: str) -> set[str]:

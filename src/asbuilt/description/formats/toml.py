@@ -50,6 +50,9 @@ from asbuilt.description.structure.springs import Spring, with_springs
 from asbuilt.errors import AsbuiltError, DescriptionError
 from asbuilt.untrusted import parsed_toml, read_bytes, read_text, reason
 
+LONGEST_CHAIN = 8
+"""Most robot files of which each extends the next."""
+
 
 def read_robot_toml(path: str | Path) -> RobotModel:
     """Read a robot from a TOML file.
@@ -269,6 +272,7 @@ def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
     path = (folder or Path()) / file.extends
     if not path.is_file():
         raise DescriptionError(f"extends names {path}, where there is no file")
+    _refuse_long_chain(path)
     found = format_of(path, read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION))
     if found is None:
         raise DescriptionError(f"extends names {path}, which is no description in a known format")
@@ -295,6 +299,25 @@ def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
         notes=(*model.notes, *file.notes),
         source=source,
     )
+
+
+def _refuse_long_chain(path: Path) -> None:
+    """Raise `DescriptionError` if robot files extend one another too often, as in a circle."""
+    chain = [path]
+    while chain[-1].suffix == ".toml" and chain[-1].is_file():
+        text = read_text(chain[-1], "description", DescriptionError)
+        try:
+            beside = parsed_toml(text).get("extends")
+        except ValueError:
+            return  # said where the file is read
+        if not isinstance(beside, str) or not beside:
+            return
+        chain.append(chain[-1].parent / beside)
+        if len(chain) > LONGEST_CHAIN:
+            raise DescriptionError(
+                f"more than {LONGEST_CHAIN} files extend one another, from {chain[0]} to"
+                f" {chain[-1]}; let the last one describe the robot"
+            )
 
 
 def _motors(file: RobotFile) -> dict[str, tuple[JointLimits, DriveValues]]:

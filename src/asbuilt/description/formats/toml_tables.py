@@ -24,9 +24,19 @@ from asbuilt.description.rotation import rotation_fault
 from asbuilt.errors import DescriptionError
 from asbuilt.registry import did_you_mean, known_fields
 
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
-Positive = Annotated[float, Field(gt=0.0)]
-Gain = Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=LARGEST)]
+
+def _no_truth(value: Any) -> Any:
+    """Refuse `mass = true`, which would be 1."""
+    if isinstance(value, bool):
+        raise ValueError(f"a number is expected, got {str(value).lower()}")
+    return value
+
+
+NUMBER = BeforeValidator(_no_truth)
+Number = Annotated[float, NUMBER]
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST), NUMBER]
+Positive = Annotated[float, Field(gt=0.0), NUMBER]
+Gain = Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=LARGEST), NUMBER]
 Vector = tuple[Finite, Finite, Finite]
 Length = Annotated[
     float | str,
@@ -177,8 +187,8 @@ class LimitsTable(_Table):
     In the angle unit of the file (m for a prismatic joint), torque in N m (force in N).
     """
 
-    lower: float = -math.inf
-    upper: float = math.inf
+    lower: Number = -math.inf
+    upper: Number = math.inf
     velocity: Positive = math.inf
     acceleration: Positive = math.inf
     jerk: Positive = math.inf

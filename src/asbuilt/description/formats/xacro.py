@@ -10,14 +10,13 @@ from pathlib import Path
 
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.urdf import read_urdf
+from asbuilt.description.formats.xml import LARGEST_DESCRIPTION
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.findings import Cure
 from asbuilt.isolation import isolated_command, isolated_environment
 from asbuilt.untrusted import file_named, is_xacro_trusted, read_bytes, shortened
 
-LARGEST = 20_000_000
-"""Bytes of a file, and of the URDF that it becomes."""
 LONGEST = 30.0
 """Seconds that an expansion may take."""
 PROGRAM = (
@@ -41,10 +40,10 @@ def read_xacro(path: str | Path) -> RobotModel:
         If it cannot be expanded, or the URDF makes no sense.
     """
     file, trusted = Path(path), is_xacro_trusted()
-    read_bytes(file, "description", DescriptionError, LARGEST)
+    read_bytes(file, "description", DescriptionError, LARGEST_DESCRIPTION)
     if find_spec("xacro") is None:
         raise MissingExtraError("xacro", "robots", f"reading {path}")
-    program = PROGRAM.format(path=str(file.resolve()), largest=LARGEST, trusted=trusted)
+    program = PROGRAM.format(path=str(file.resolve()), largest=LARGEST_DESCRIPTION, trusted=trusted)
     try:
         done = subprocess.run(
             isolated_command(program),

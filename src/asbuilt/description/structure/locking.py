@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import composed
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
@@ -44,10 +45,11 @@ def locks_from_text(text: str) -> dict[str, float | None]:
             number = float(value) if given else None
         except ValueError:
             number = math.nan
-        if not name.strip() or (number is not None and not math.isfinite(number)):
+        known = number is None or abs(number) <= LARGEST  # not of NaN
+        if not name.strip() or not known or name.strip() in found:
             raise UsageError(
-                "joints to lock are JOINT or JOINT=VALUE, separated by commas, for example"
-                f" finger=0.02; got {text!r}"
+                "joints to lock are JOINT or JOINT=VALUE, each once, separated by commas, for"
+                f" example finger=0.02, at most {LARGEST:g}; got {text!r}"
             )
         found[name.strip()] = number
     return found

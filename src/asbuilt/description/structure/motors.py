@@ -38,6 +38,11 @@ def coupled_joints(
                 f"a coupling moves joint {name!r}, which does not exist; the joints are"
                 f" {', '.join(names)}"
             )
+        if name in mimic.factors and name not in motors:
+            raise DescriptionError(
+                f"the coupling of joint {name!r} has it move with itself; name the motor that moves"
+                " it, which needs [[motors]] if it is no joint"
+            )
         for source in mimic.factors:
             if source not in names and source not in motors:
                 raise DescriptionError(

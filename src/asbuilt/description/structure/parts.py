@@ -206,6 +206,11 @@ class Link:
     parts: tuple[tuple[str, LinkInertia], ...] = ()
     negligible: bool = False
 
+    @property
+    def has_mass(self) -> bool:
+        """Whether the description gives its mass."""
+        return self.inertia_known and self.inertia.mass > 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:

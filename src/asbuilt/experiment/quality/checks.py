@@ -49,6 +49,7 @@ from asbuilt.experiment.quality.torque.signal_checks import (
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
 from asbuilt.findings import Cure, Finding, joined, ranked
+from asbuilt.tables import WIDTH, wrapped
 
 TOO_LITTLE = ("too_few_samples", "too_short")
 """Codes of errors that forbid an identification of the whole robot, and no other use."""
@@ -67,7 +68,6 @@ OF_MODEL_TORQUES = (
     *("torque_uncorrelated", "torque_unsigned"),
 )
 """Codes of findings that torques of contacts, which no check knows, would explain."""
-_WIDTH = 80
 _HEADLINE = 160
 """Characters of the first finding in the headline."""
 _MOST_INFOS = 3
@@ -156,8 +156,8 @@ class RecordingCheck:
             Function that writes a cure, for an interface that adds the names of its options.
         """
         head = [
-            *textwrap.wrap(self.headline, _WIDTH),
-            *textwrap.wrap(f"{self.source} on {self.robot}, {self.n_samples} samples", _WIDTH),
+            wrapped(self.headline),
+            wrapped(f"{self.source} on {self.robot}, {self.n_samples} samples"),
         ]
         groups = [[finding] for finding in self.findings] if full else self._merged()
         infos = [group for group in groups if group[0].severity == "info"]
@@ -214,7 +214,7 @@ def _paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> li
     cure = None if first.cure is None else Cure(cure_text(first.cure))
     return textwrap.wrap(
         str(replace(first, message=first.message + others, cure=cure)),
-        _WIDTH,
+        WIDTH,
         subsequent_indent="  ",
         break_long_words=False,
         break_on_hyphens=False,

@@ -78,7 +78,7 @@ def clock_findings(recording: FirstPass) -> Iterator[Finding]:
             time=float(t[gaps[0]]),
         )
     usual = forward[forward <= GAP_STEPS * step]
-    if float(np.std(usual) / step) > THRESHOLDS.irregular:
+    if float(np.std(usual / step)) > THRESHOLDS.irregular:
         low, high = np.percentile(usual, [0.5, 99.5])
         yield Finding(
             "clock_irregular",
@@ -139,6 +139,14 @@ def _wrong_unit(step: float) -> Iterator[Finding]:
             f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): the unit of the time"
             " stamps is not the one that their name or the sheet gives",
             Cure('write the unit in a recording sheet: units = { time = "s" }'),
+        )
+    if rate < min(_CLOCK_UNITS.values()):
+        yield Finding(
+            "clock_unit",
+            "error",
+            f"the sampling rate is {rate:.3g} Hz ({step:.3g} s a sample): the time stamps are in no"
+            " known unit",
+            Cure("write true times, or a column of them, and their unit in a recording sheet"),
         )
     unit = next((u for u, factor in _CLOCK_UNITS.items() if 20.0 <= rate / factor <= 20e3), None)
     if rate < THRESHOLDS.slowest and unit is not None:

@@ -21,6 +21,7 @@ CREDIBLE = {
     "torque": 1e9,
     "velocity": 1e6,
     "acceleration": 1e9,
+    "second encoder": 1e6,
 }
 """Largest value that any robot could log, in any unit of the quantity."""
 
@@ -258,11 +259,19 @@ def _not_repeated(chunk: Recording, before: Recording | None) -> Mask:
 
 
 def _missing(chunk: Recording, begin: int) -> Iterator[Missing]:
-    for what, values in _quantities(chunk):
+    for what, values in _with_second_encoder(chunk):
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
             rows = np.flatnonzero(bad[:, k])
             yield Missing(what, k, begin + rows, float(values[rows[0], k]))
+
+
+def _with_second_encoder(chunk: Recording) -> Iterator[tuple[str, Array]]:
+    """Yield what was logged, and a second encoder, which joints may be without."""
+    yield from _quantities(chunk)
+    if chunk.second_encoder is not None:
+        positions = chunk.second_encoder[1]
+        yield "second encoder", np.where(np.isnan(positions), 0.0, positions)
 
 
 def _merged(missing: list[Missing]) -> tuple[Missing, ...]:

@@ -30,6 +30,9 @@ CLOCK_STEPS = (0.99, 0.5)
 """Share of the steps of a clock that are forward, and of one that does not lead the columns also
 within this of the median step."""
 
+MOST_QUANTITIES = 32
+"""Quantities of each joint that are compared with each other, every pair: logs have a dozen."""
+
 DRAFT = (
     "[columns]  # an example: the values decide nothing\n"
     'time = 1\nposition = "2-7"\ntorque = "8-13"'
@@ -76,7 +79,7 @@ def suggest_sheet(
     head = [] if named else ["header = false"]
     if rate is not None:
         head.append(f"rate = {rate:g}")
-    if not n_joints or len(rest) < 2 * n_joints:
+    if not n_joints or not 2 * n_joints <= len(rest) <= MOST_QUANTITIES * n_joints:
         return "\n".join([*head, DRAFT])
     groups = [
         np.column_stack(rest[k : k + n_joints])

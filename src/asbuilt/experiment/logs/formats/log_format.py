@@ -161,7 +161,7 @@ def table_from_variables(source: str, variables: Mapping[str, Array]) -> LogTabl
     """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
 
     A matrix `positions` gives `positions_1`, ..., `positions_m`. N is the length that most
-    variables share; variables without it are left out.
+    variables share; variables without it, and complex ones, are left out.
 
     Raises
     ------
@@ -172,12 +172,9 @@ def table_from_variables(source: str, variables: Mapping[str, Array]) -> LogTabl
     arrays = {
         name: a
         for name, a in arrays.items()
-        if a.ndim in (1, 2)
-        and a.size > 1
-        and np.issubdtype(a.dtype, np.number)
-        and not np.iscomplexobj(a)
+        if a.ndim in (1, 2) and a.size > 1 and np.issubdtype(a.dtype, np.number)
     }
-    if not arrays:
+    if not any(np.isrealobj(a) for a in arrays.values()):
         raise RecordingError(
             f"{source} is not a recording: it holds no numeric vector or matrix (found"
             f" {', '.join(variables) or 'nothing'})",
@@ -191,8 +188,9 @@ def table_from_variables(source: str, variables: Mapping[str, Array]) -> LogTabl
     columns: dict[str, Array] = {}
     left_out = []
     for name, array in arrays.items():
-        if length not in array.shape:
-            left_out.append(f"{name} {array.shape}")
+        if length not in array.shape or np.iscomplexobj(array):
+            complex_ = " (complex)" if np.iscomplexobj(array) else ""
+            left_out.append(f"{name} {array.shape}{complex_}")
             continue
         values = array.astype(np.float64)
         if values.ndim == 1:

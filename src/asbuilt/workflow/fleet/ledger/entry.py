@@ -28,10 +28,14 @@ from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.workflow.fleet.ledger.identities import folder_of
 from asbuilt.workflow.fleet.ledger.merging import merged_blocks
-from asbuilt.workflow.fleet.ledger.settings import SOFTWARE, TypeSettings
+from asbuilt.workflow.fleet.ledger.settings import (
+    FORMAT_VERSION,
+    SOFTWARE,
+    TypeSettings,
+    check_version,
+)
 from asbuilt.workflow.fleet.ledger.unpacking import unpacked
 
-FORMAT_VERSION = 1
 DIGITS = 16
 """Hexadecimal digits of a hash in the name of a file."""
 WHOLE = -1
@@ -195,13 +199,7 @@ def entry_from(content: bytes, name: EntryName, settings: TypeSettings) -> Entry
         raise _damaged(name.path, "its content is not what was written")
     try:
         frame = _frame_of(content)
-        version = frame["format_version"][0]
-        if version != FORMAT_VERSION:
-            raise ResultError(
-                f"{name.path} has format version {version}, this program reads {FORMAT_VERSION}",
-                cure=Cure("use the version of asbuilt that wrote it, or rebuild the ledger"),
-                file=name.path,
-            )
+        check_version(name.path, frame["format_version"][0])
         _check_schema(frame)
         return _entry(frame, name, settings)
     except ResultError:

@@ -18,11 +18,10 @@ from asbuilt.workflow.fleet.ledger.entry import (
     entry_from,
 )
 from asbuilt.workflow.fleet.ledger.identities import folder_of, is_folder, robot_of
-from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.ledger.settings import FORMAT_VERSION, TypeSettings, check_version
 from asbuilt.workflow.fleet.ledger.store import Store, open_store
 
 FORMAT = "asbuilt fleet ledger"
-FORMAT_VERSION = 1
 MARK = "ledger.json"
 FOLDERS = ("logs", "pending", "types")
 
@@ -261,9 +260,4 @@ def _check_mark(root: str, store: Store) -> None:
             cure=Cure("give the folder or URL of a ledger, or a new one"),
             file=root,
         )
-    if version != FORMAT_VERSION:
-        raise ResultError(
-            f"the ledger {root} has format version {version}, this program reads {FORMAT_VERSION}",
-            cure=Cure("use the version of asbuilt that wrote it, or add its logs to a new ledger"),
-            file=root,
-        )
+    check_version(root, version)

@@ -25,6 +25,7 @@ from asbuilt.untrusted import parsed_json
 
 FORMAT = "asbuilt fleet settings"
 FORMAT_VERSION = 1
+"""Of all files of a ledger."""
 SOFTWARE = version_of("asbuilt")
 DESCRIBED = ("source", "citation", "notes")
 """Fields of a robot that say where it is from; the same robot may come from two places."""
@@ -134,17 +135,21 @@ class TypeSettings:
         return _restored(content, path)
 
 
+def check_version(path: str, version: object) -> None:
+    """Raise `ResultError` unless a file of a ledger has the format version of this program."""
+    if version != FORMAT_VERSION:
+        raise ResultError(
+            f"{path} has format version {version}, this program reads {FORMAT_VERSION}",
+            cure=Cure("use the version of asbuilt that wrote the ledger, or rebuild it"),
+            file=path,
+        )
+
+
 @lru_cache(maxsize=64)
 def _restored(content: bytes, path: str) -> TypeSettings:
     try:
         document = parsed_json(content)
-        version = document["format_version"] if document["format"] == FORMAT else None
-        if version != FORMAT_VERSION:
-            raise ResultError(
-                f"{path} has format version {version}, this program reads {FORMAT_VERSION}",
-                cure=Cure("use the version of asbuilt that wrote the ledger, or rebuild it"),
-                file=path,
-            )
+        check_version(path, document["format_version"] if document["format"] == FORMAT else None)
         found = TypeSettings(
             robot_type=str(document["robot_type"]),
             generation=int(document["generation"]),

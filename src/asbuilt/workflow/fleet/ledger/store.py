@@ -15,7 +15,7 @@ EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gcs", "gcs": "gcs", "az": "azure", "ab
 READABLE = 0o644
 """Mode of a file: what is in a ledger never changes."""
 LARGEST = 50_000_000
-"""Bytes of a file; an entry of 30 joints has 4 MB."""
+"""Bytes of a file, packed or not; an entry of 30 joints has 4 MB, and 6 MB unpacked."""
 
 
 class Store(Protocol):

@@ -10,9 +10,7 @@ import polars as pl
 
 from asbuilt.errors import ResultError
 from asbuilt.experiment.logs.formats.log_format import LogTable
-
-LARGEST = 50_000_000
-"""Bytes that an entry may unpack to; one of 30 joints has 6 MB."""
+from asbuilt.workflow.fleet.ledger.store import LARGEST
 
 
 def unpacked(path: Path) -> LogTable:

@@ -24,7 +24,7 @@ STATE, ACTION = "observation.state", "action"
 OTHERS = (".vel", ".acc", ".effort", ".torque", ".current", ".load", ".temp")
 """Ends of features that are no positions; their units are not known either."""
 LARGEST = 1e9
-"""Bytes of the largest file of a dataset that is read."""
+"""Bytes of the largest file of a dataset that is read; an hour at 1 kHz with 30 joints is 2e9."""
 
 
 def read_lerobot(path: Path) -> LogTable:

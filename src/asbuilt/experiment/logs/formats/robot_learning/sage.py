@@ -13,14 +13,13 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
+from asbuilt.experiment.logs.formats.robot_learning.lerobot import LARGEST
 from asbuilt.findings import Cure
 from asbuilt.untrusted import check_regular, reason
 
 COMMANDS, STATES, NAMES = "control.csv", "state_motor.csv", "joint_list.txt"
 MICROSECOND = 1e-6
 QUANTITIES = {"positions": "position", "velocities": "velocity", "torques": "torque"}
-LARGEST = 1e9
-"""Bytes of the largest file of a motion; an hour at 1 kHz with 30 joints is 2e9."""
 
 
 def read_sage(path: Path) -> LogTable:
