@@ -14,6 +14,7 @@ demo: $(VENV)/.installed
 install: $(VENV)/.installed-check $(VENV)/.installed-docs
 
 test: $(VENV)/.installed-test
+	$(BIN)/python tests/make_ready.py
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not study"
 
 # Tests that take seconds each: statistics of many studies, whole recordings of real robots, examples.

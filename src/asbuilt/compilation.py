@@ -149,12 +149,17 @@ def part(function: Callable[..., Any]) -> Any:
     return compiling(function, no_cpython_wrapper=True, **OPTIONS)
 
 
-def compile_kernels(report: Callable[[float], None]) -> None:
-    """Compile all kernels of the package that are not on disk; `report` tells the fraction done."""
+def import_kernels() -> list[Kernel]:
+    """Return all kernels of the package, in the same order in every process that asks first."""
     for path in sorted(PACKAGE.rglob("*.py")):
         if b"\n@kernel(" in path.read_bytes():
             import_module(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts))
-    missing = [each for each in KERNELS if not each.is_on_disk()]
+    return KERNELS
+
+
+def compile_kernels(report: Callable[[float], None]) -> None:
+    """Compile all kernels of the package that are not on disk; `report` tells the fraction done."""
+    missing = [each for each in import_kernels() if not each.is_on_disk()]
     for count, each in enumerate(missing):
         report(count / len(missing))
         each.make_ready()
