@@ -97,7 +97,7 @@ def relief_of_delays(
 
 
 def _fitted(model: RobotModel, part: SquareRootInformation, weights: Array) -> Array:
-    if all(link.inertia_known and link.inertia.mass > 0.0 for link in model.links):
+    if model.has_every_mass:
         prior = cad_prior(model, part.base.drive)
         # Weight of CAD in the fits, as for a base tilt: ten times the usual design effect.
         return fit_toward_cad(part, prior, weight=100.0, weights=weights).beta

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
@@ -26,7 +25,7 @@ def gravity_scales(result: IdentificationResult) -> Array:
     scales = np.full(n, np.nan)
     links = np.asarray(result.base.columns) < 10 * result.model.n_links
     design = np.array([parameter.cad for parameter in result.parameters], dtype=np.float64)
-    if not has_masses(result.model) or not np.all(np.isfinite(design[links])):
+    if not result.model.has_every_mass or not np.all(np.isfinite(design[links])):
         return scales
     q = random_positions(result.model, np.random.default_rng(0))
     still = np.zeros_like(q)
@@ -44,11 +43,6 @@ def gravity_scales(result: IdentificationResult) -> Array:
     clear = (size > 0.05 * size.max(initial=0.0)) & (product > 0.8 * size * own)
     scales[clear] = product[clear] / size[clear] ** 2
     return scales
-
-
-def has_masses(model: RobotModel) -> bool:
-    """Return whether every link has a mass by design."""
-    return all(link.inertia_known and link.inertia.mass > 0.0 for link in model.links)
 
 
 def doubted_gains(scales: Array) -> Array:
@@ -83,7 +77,6 @@ COMMON = 1.0 / 3.0
 """Part of the variance common to all joints, which warm up together (4 of 7 %, squared)."""
 MOST = 0.5
 """Largest valid fraction."""
-RANK_TOLERANCE = 1e-10
 
 
 def relative_gain_errors(
@@ -123,7 +116,7 @@ def gain_errors_of(
     usual = relative_gain_errors(source, n, stated)
     if stated is not None or source == "sensor":
         return usual
-    if not has_masses(result.model):
+    if not result.model.has_every_mass:
         return np.maximum(usual, UNCALIBRATED)
     if source == "unknown":
         return usual
@@ -140,7 +133,7 @@ def gains_in_doubt(result: IdentificationResult, source: TorqueSource) -> tuple[
     All of them where the description has no masses, so that nothing shows the scale of torques
     that are not those of a sensor.
     """
-    if source != "sensor" and not has_masses(result.model):
+    if source != "sensor" and not result.model.has_every_mass:
         return result.model.joint_names
     if source not in ("motor", "current"):
         return ()
@@ -197,7 +190,7 @@ def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weight
     sides = np.column_stack([factor[:, :-1].T @ factor[:, -1] for factor in factors])
     scale = np.sqrt(np.diag(matrix))
     scale[scale == 0.0] = 1.0
-    shares = np.linalg.lstsq(
-        matrix / np.outer(scale, scale), sides / scale[:, None], rcond=RANK_TOLERANCE
-    )[0]
+    shares = np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-10)[
+        0
+    ]
     return np.asarray(shares / scale[:, None])

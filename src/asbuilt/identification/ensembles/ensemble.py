@@ -206,7 +206,7 @@ def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
     unlike = []
     for link, (low, _, high) in zip(result.model.links, masses.T, strict=True):
         cad = link.inertia.mass
-        if link.inertia_known and cad > 0.0 and (high > UNLIKE * cad or low < cad / UNLIKE):
+        if link.has_mass and (high > UNLIKE * cad or low < cad / UNLIKE):
             unlike.append(f"{link.name} {low:.3g} to {high:.3g} kg, CAD {cad:.3g} kg")
     if not unlike:
         return []

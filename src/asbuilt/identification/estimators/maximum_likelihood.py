@@ -8,7 +8,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
+from asbuilt.identification.estimators.least_squares import (
+    WEIGHT_CONVERGENCE,
+    estimate_wls,
+    fit_least_squares,
+)
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.information.estimate import Estimate, noise_floor
 from asbuilt.identification.information.estimation_data import EstimationData
@@ -21,7 +25,6 @@ from asbuilt.identification.information.triangular import (
     triangular_factor,
 )
 
-CONVERGENCE = 1e-8
 MOST_ITERATIONS = 100
 
 
@@ -64,7 +67,7 @@ def estimate_ml(data: EstimationData) -> Estimate:
             covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
             renewed = solve_triangular(np.linalg.cholesky(covariance), np.eye(n), lower=True)
             converged = bool(
-                np.max(np.abs(renewed - whitener)) <= CONVERGENCE * np.max(np.abs(renewed))
+                np.max(np.abs(renewed - whitener)) <= WEIGHT_CONVERGENCE * np.max(np.abs(renewed))
             )
             whitener = renewed
             whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)

@@ -11,8 +11,8 @@ from scipy.special import stdtr
 
 from asbuilt.arrays import Array
 from asbuilt.findings import Finding, joined
+from asbuilt.identification.effects.groups import group_title
 from asbuilt.tables import significant
-from asbuilt.validation.attribution.causes import CAUSES
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.significance import holm
 from asbuilt.validation.prediction import Validation
@@ -167,7 +167,7 @@ def cause_findings(attribution: Attribution | None) -> tuple[Finding, ...]:
     """Return the causes of the CAD error, if any was found."""
     if attribution is None or not attribution.chosen:
         return ()
-    named = joined([CAUSES[cause] for cause in attribution.chosen])
+    named = joined([group_title(key) for key in attribution.chosen])
     said = (
         f"Causes of the torque error of CAD: {named}, which explain"
         f" {100 * attribution.explained:.0f} % of its square on {attribution.judged_by}"

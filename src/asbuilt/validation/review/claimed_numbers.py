@@ -64,8 +64,7 @@ def claimed_numbers(
     found: list[ClaimedNumber] = []
     count = 10 * model.n_links + drive.columns_per_joint * model.n_joints
     for i, (link, joint) in enumerate(zip(model.links, model.moving_joints, strict=True)):
-        known = link.inertia_known and link.inertia.mass > 0.0
-        numbers = _of_link(link.inertia, tolerance) if known else _of_unknown_link()
+        numbers = _of_link(link.inertia, tolerance) if link.has_mass else _of_unknown_link()
         for what, unit, claimed, size, spread, change in numbers:
             column = np.zeros(count)
             column[10 * i : 10 * i + 10] = change

@@ -155,8 +155,7 @@ def _of_bodies(result: IdentificationResult) -> Iterator[Reason]:
     off = [
         (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)
         for link, mass in zip(links, masses, strict=True)
-        if link.inertia_known
-        and link.inertia.mass > 0.0
+        if link.has_mass
         and not 1.0 / FAR_FROM_CAD <= mass / link.inertia.mass <= FAR_FROM_CAD
         and abs(mass - link.inertia.mass) > RULES.heavier * total
     ]

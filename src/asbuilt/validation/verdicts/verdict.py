@@ -17,7 +17,7 @@ from asbuilt.identification.result.as_built_parameters import as_built_parameter
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share, significant
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.rollout.joint_errors import position_unit
+from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.reasons import Reason, is_untested, reasons_against
 from asbuilt.validation.verdicts.rules import RULES
