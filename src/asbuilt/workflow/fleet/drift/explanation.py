@@ -26,11 +26,13 @@ from asbuilt.workflow.fleet.drift.variation import Variation
 class ChangeRules:
     """Say how many effects of a change are named, and what determines nothing.
 
-    `weakest` is the eigenvalue of scaled information, relative to the largest.
+    `weakest` is the eigenvalue of scaled information, relative to the largest; what the worth of
+    two effects differs by less than `same` of it is rounding.
     """
 
     most: int = 3
     weakest: float = 1e-8
+    same: float = 1e-6
 
 
 CHANGE = ChangeRules()
@@ -102,7 +104,8 @@ def _selected(step: _Stepping, sources: Sequence[Source], inflation: float) -> l
         ranks = [fit[3] - rank for fit in fits]
         spread = max(inflation, (whole - reached - gains.max()) / len(step.score))
         worth = [worth_of(0.5 * g / spread, m) for g, m in zip(gains.tolist(), ranks, strict=True)]
-        best = int(np.argmax(worth))
+        # Of effects that explain the same, as links and a payload of few joints do, the first.
+        best = int(np.flatnonzero(np.array(worth) >= max(worth) - CHANGE.same * abs(max(worth)))[0])
         chance = float(chdtrc(max(ranks[best], 1), max(gains[best], 0.0) / spread)) * len(left)
         if taken and (chance > RULES.level or gains[best] < RULES.named * whole):
             break
