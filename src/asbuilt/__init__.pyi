@@ -57,9 +57,9 @@ from .validation.attribution.attribute import attribute as attribute
 from .validation.comparison.comparison import compare as compare
 from .validation.comparison.drift import compare_results as compare_results
 from .validation.prediction import validate_samples as validate_samples
-from .workflow.calibration.payload_study import identify_payload as identify_payload
-from .workflow.calibration.torques import find_gains as find_gains
-from .workflow.calibration.torques import identify_channels as identify_channels
+from .workflow.calibration import find_gains as find_gains
+from .workflow.calibration import identify_channels as identify_channels
+from .workflow.calibration import identify_payload as identify_payload
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .workflow.fleet.drift.drift import FleetDrift as FleetDrift
@@ -91,8 +91,8 @@ from .workflow.study import identify as identify
 from .workflow.validation import validate as validate
 from .workflow.validation import validate_robot as validate_robot
 from .workflow.watching.options import WatchOptions as WatchOptions
-from .workflow.watching.threshold_files import read_thresholds as read_thresholds
 from .workflow.watching.watch import watch as watch
+from .workflow.watching.watched_log import read_thresholds as read_thresholds
 from .writers.models.convert import convert_robot as convert_robot
 from .writers.models.ensembles.ensemble_files import ensemble_model as ensemble_model
 from .writers.models.ensembles.ensemble_files import write_ensemble as write_ensemble

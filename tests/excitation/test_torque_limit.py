@@ -13,7 +13,7 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.torque_limit import PowerLimit, TorqueLimit, perturbed_models
+from asbuilt.excitation.state_constraint import PowerLimit, TorqueLimit, perturbed_models
 
 
 def rough(model):

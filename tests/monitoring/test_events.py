@@ -12,11 +12,10 @@ from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.monitoring.contact import frame_jacobian
+from asbuilt.monitoring.contact import excess_response, frame_jacobian, smallest_forces
 from asbuilt.monitoring.events import joined_events
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.sensitivity import excess_response, smallest_forces
 from asbuilt.workflow.watching.options import WatchOptions
 from asbuilt.workflow.watching.watch import watch
 from asbuilt.workflow.watching.watched_log import WatchedLog

@@ -144,7 +144,7 @@ def base(
 
     The full text says why, parameter by parameter.
     """
-    from asbuilt.dynamics.drives.defaults import on_driven_joints
+    from asbuilt.dynamics.drives.torque import on_driven_joints
     from asbuilt.tables import stacked
     from asbuilt.writers.tables.robot_tables import (
         base_table,

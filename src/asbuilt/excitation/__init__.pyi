@@ -13,7 +13,6 @@ from .limits import LimitReport as LimitReport
 from .limits import MotionBounds as MotionBounds
 from .limits import check_motion as check_motion
 from .motions.bspline import BSplineMotion as BSplineMotion
-from .motions.concatenated import Concatenated as Concatenated
 from .motions.fourier import FourierMotion as FourierMotion
 from .motions.motion import Motion as Motion
 from .motions.motion import Trajectory as Trajectory
@@ -21,6 +20,7 @@ from .motions.motion_csv import SampledMotion as SampledMotion
 from .motions.motion_csv import read_motion as read_motion
 from .motions.parametrisation import PARAMETRISATIONS as PARAMETRISATIONS
 from .motions.parametrisation import Parametrisation as Parametrisation
+from .motions.piecewise import Concatenated as Concatenated
 from .motions.point_to_point import PointToPointMotion as PointToPointMotion
 from .motions.quintic import QuinticMotion as QuinticMotion
 from .motions.random_motion import random_fourier as random_fourier

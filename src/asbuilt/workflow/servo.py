@@ -9,9 +9,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.command.slow_motion import moving_faster

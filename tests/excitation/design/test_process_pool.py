@@ -12,8 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.excitation.design.multistart import Candidate, Deadline, search_all
-from asbuilt.excitation.design.process_pool import SearchPool, open_pool
+from asbuilt.excitation.design.multistart import (
+    Candidate,
+    Deadline,
+    SearchPool,
+    open_pool,
+    search_all,
+)
 
 
 @contextmanager

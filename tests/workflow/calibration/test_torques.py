@@ -25,7 +25,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.torque_gains import identify_gains
 from asbuilt.identification.calibration.two_channels import identify_two_channels
-from asbuilt.workflow.calibration.torques import find_gains, identify_channels
+from asbuilt.workflow.calibration import find_gains, identify_channels
 from asbuilt.workflow.options import ChannelOptions, GainOptions
 from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 

@@ -26,8 +26,13 @@ from asbuilt.excitation.motions.motion import read_only
 from asbuilt.excitation.motions.pacing import CHECK_RATE
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
 from asbuilt.excitation.state_bounds import limited_model
-from asbuilt.excitation.state_constraint import StateConstraint, smallest_distance
-from asbuilt.excitation.torque_limit import STANDING, TorqueLimit, WeightLimit
+from asbuilt.excitation.state_constraint import (
+    STANDING,
+    StateConstraint,
+    TorqueLimit,
+    WeightLimit,
+    smallest_distance,
+)
 
 MOST_POSES = 1_000
 """Most static poses; each is held for seconds."""

@@ -14,7 +14,7 @@ from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import Information
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_bounds import random_states
-from asbuilt.excitation.torque_limit import TorqueLimit
+from asbuilt.excitation.state_constraint import TorqueLimit
 
 States = tuple[Array, Array, Array]
 

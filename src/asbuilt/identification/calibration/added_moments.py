@@ -1,4 +1,4 @@
-"""First moments of a weight on any link, where no motion determines its mass alone."""
+"""Recordings under load reduced to rows of arm, payload and torque."""
 
 from __future__ import annotations
 
@@ -12,16 +12,13 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import shift_matrix
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification.calibration.payload import (
-    FEWEST_BLOCKS,
-    LARGEST_ERROR,
-    payload_frame,
-)
+from asbuilt.identification.calibration.payload import FEWEST_BLOCKS, LARGEST_ERROR, payload_frame
 from asbuilt.identification.calibration.payload_rows import PayloadRows
 from asbuilt.identification.result.result import IdentificationResult
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
+
 
 NAMES = ("mx", "my", "mz", "m")
 """First moments [kg m] in the axes of the frame, and mass [kg]."""

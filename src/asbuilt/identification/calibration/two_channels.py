@@ -13,8 +13,8 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.base.identifiability import StandardParameter
-from asbuilt.dynamics.drives.defaults import coupled_motor_terms
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import coupled_motor_terms
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.findings import Cure, Finding, joined

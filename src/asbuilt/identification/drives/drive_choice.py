@@ -11,8 +11,8 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.defaults import on_driven_joints, usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.torque import on_driven_joints, usual_drive
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear

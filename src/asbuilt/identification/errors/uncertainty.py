@@ -8,9 +8,13 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.identification.errors.block_scatter import BlockScatter, widening
+from asbuilt.identification.errors.block_scatter import (
+    BlockScatter,
+    ErrorBasis,
+    ErrorKind,
+    widening,
+)
 from asbuilt.identification.errors.common_growth import BlockScores, CommonGrowth, common_growth
-from asbuilt.identification.errors.error_basis import ErrorBasis, ErrorKind
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation

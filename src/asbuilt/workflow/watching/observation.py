@@ -23,10 +23,9 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.causal_filter import pole_for
+from asbuilt.monitoring.causal_filter import largest_velocity_error, pole_for
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.velocity_error import largest_velocity_error
 
 FEWEST = 10
 """Samples of the shortest log."""

@@ -30,8 +30,8 @@ from asbuilt.workflow.watching.observation import (
     uses_logged_velocities,
 )
 from asbuilt.workflow.watching.options import WatchOptions
-from asbuilt.workflow.watching.tally import Tally
 from asbuilt.workflow.watching.watch_findings import (
+    Tally,
     calibration_findings,
     expected_size,
     log_findings,

@@ -9,7 +9,7 @@ from typing import Any
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.excitation.collision.clearance import clearance_along
+from asbuilt.excitation.collision.constraint import clearance_along
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import read_motion
 from asbuilt.tables import wrapped

@@ -18,8 +18,7 @@ from asbuilt.findings import Finding, ranked
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
-from asbuilt.workflow.fleet.drift.columns import FleetColumns
-from asbuilt.workflow.fleet.drift.days import Day, by_day, day_of
+from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, by_day, day_of
 from asbuilt.workflow.fleet.drift.directions import Directions, find_directions
 from asbuilt.workflow.fleet.drift.explanation import explain_change
 from asbuilt.workflow.fleet.drift.variation import History, Variation, estimate_variation

@@ -26,8 +26,7 @@ from asbuilt.workflow.fleet.reduction.add import (
     run_tasks,
     who,
 )
-from asbuilt.workflow.fleet.reduction.first_settings import choose_settings
-from asbuilt.workflow.fleet.reduction.log_source import source_hash
+from asbuilt.workflow.fleet.reduction.log_source import choose_settings, source_hash
 from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Progress

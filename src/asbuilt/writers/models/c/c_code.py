@@ -21,7 +21,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.torque_model import TorqueModel
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
-from asbuilt.monitoring.balance import armature_matrix
+from asbuilt.monitoring.observer import armature_matrix
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_dynamics import Mechanism, drive_entries, with_drives
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term

@@ -1,0 +1,104 @@
+"""Inertia of rotors, and what a motor adds that several joints turn."""
+
+from __future__ import annotations
+
+from asbuilt.dynamics.drives.term import MOTOR_SOURCES, DriveTerm, drive_term
+from asbuilt.dynamics.drives.terms.elastic import HIGHEST, Cable
+
+
+@drive_term
+class Armature(DriveTerm):
+    """Add `Ia qdd`; gyroscopic torques of the rotor are neglected.
+
+    A sensor between gear and joint does not measure it.
+    """
+
+    key = "armature"
+    position = 10
+    symbols = ("Ia",)
+    columns = ("qdd",)
+    formula = "Ia qdd"
+    revolute_units = ("kg m^2",)
+    prismatic_units = ("kg",)
+    cause = "armature"
+    non_negative = True
+    ratio_powers = (2.0,)
+    default_for = MOTOR_SOURCES
+    tried_for = ("unknown",)
+
+
+@drive_term
+class MotorArmature(DriveTerm):
+    """Add `Iam s_dd` of the motor coordinate s to each joint that turns it, times its share.
+
+    `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
+    zero; `armature` has the same effect.
+    """
+
+    key = "motor_armature"
+    position = 12
+    symbols = ("Iam",)
+    columns = ("qdd",)
+    formula = "T^T Iam (T qdd)"
+    revolute_units = ("kg m^2",)
+    prismatic_units = ("kg",)
+    cause = "armature"
+    non_negative = True
+    ratio_powers = (2.0,)
+    of_motor = True
+
+
+@drive_term
+class MotorViscous(DriveTerm):
+    """Add `Fvm s_d` of the motor coordinate s to each joint that turns it, times its share.
+
+    `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
+    zero; `viscous` has the same effect.
+    """
+
+    key = "motor_viscous"
+    title = "motor viscous friction"
+    position = 24
+    symbols = ("Fvm",)
+    columns = ("qd",)
+    formula = "T^T Fvm (T qd)"
+    revolute_units = ("N m s/rad",)
+    prismatic_units = ("N s/m",)
+    cause = "friction"
+    non_negative = True
+    ratio_powers = (2.0,)
+    of_motor = True
+
+
+@drive_term
+class MotorCoulomb(DriveTerm):
+    """Add `Fcm sign(s_d)` of the motor coordinate s to each joint that turns it, times its share.
+
+    `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
+    zero; `coulomb` has the same effect.
+    """
+
+    key = "motor_coulomb"
+    title = "motor Coulomb friction"
+    position = 36
+    symbols = ("Fcm",)
+    columns = ("sign(qd)",)
+    formula = "T^T Fcm sign(T qd)"
+    cause = "friction"
+    non_negative = True
+    of_motor = True
+
+
+@drive_term
+class MotorCable(Cable):
+    """Add `sum_k Cs_k (s / pi)^k` of the far side s to each coordinate that turns it.
+
+    `s = T q`, as for the other terms of the far side; `cable` is the same on the near side.
+    """
+
+    key = "motor_cable"
+    title = "motor cable"
+    position = 76
+    symbols = tuple(f"C{k}s" for k in range(1, HIGHEST + 1))
+    formula = "T^T sum_k Cks (T q / pi)^k, k <= order"
+    of_motor = True
