@@ -27,8 +27,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.causal_filter import largest_velocity_error
 from asbuilt.monitoring.contact import frame_jacobian, smallest_forces
 from asbuilt.monitoring.events import find_events
-from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds, bounded, set_thresholds
 from asbuilt.workflow.options import StudyOptions

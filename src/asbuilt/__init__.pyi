@@ -83,11 +83,11 @@ from .workflow.options import ValidationOptions as ValidationOptions
 from .workflow.prepare import prepare as prepare
 from .workflow.result_files import read_result as read_result
 from .workflow.result_files import read_study as read_study
-from .workflow.review import review as review
 from .workflow.simulation.rollout import roll_out_result as roll_out_result
 from .workflow.simulation.rollout import roll_out_robot as roll_out_robot
 from .workflow.study import Study as Study
 from .workflow.study import identify as identify
+from .workflow.validation import review as review
 from .workflow.validation import validate as validate
 from .workflow.validation import validate_robot as validate_robot
 from .workflow.watching.options import WatchOptions as WatchOptions

@@ -15,6 +15,7 @@ from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.findings import Finding
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
+from asbuilt.identification.errors.bias import OmittedBias
 from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.delay_errors import DelayErrors, delay_errors
@@ -24,7 +25,6 @@ from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearPlace,
     nonlinear_errors,
 )
-from asbuilt.identification.errors.omitted_bias import OmittedBias
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     block_uncertainty,

@@ -14,8 +14,7 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.causal_filter import CausalFilter, filter_pole, filtered_log, pole_for
-from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.thresholds import Thresholds
 
 

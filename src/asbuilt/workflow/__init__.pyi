@@ -29,11 +29,11 @@ from .prepare import Prepared as Prepared
 from .prepare import prepare as prepare
 from .result_files import read_result as read_result
 from .result_files import read_study as read_study
-from .review import review as review
 from .simulation.rollout import roll_out_result as roll_out_result
 from .simulation.rollout import roll_out_robot as roll_out_robot
 from .study import Study as Study
 from .study import identify as identify
+from .validation import review as review
 from .validation import validate as validate
 from .validation import validate_robot as validate_robot
 from .watching.options import WatchOptions as WatchOptions

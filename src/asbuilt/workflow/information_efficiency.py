@@ -15,8 +15,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.excitation.information.efficiency import InformationEfficiency, information_efficiency
+from asbuilt.excitation.information.information import limited_model
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.state_bounds import limited_model
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples

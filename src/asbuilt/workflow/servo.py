@@ -22,8 +22,8 @@ from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
-from asbuilt.identification.errors.between_recordings import recording_variances
 from asbuilt.identification.errors.delay_errors import DelayErrors
+from asbuilt.identification.errors.uncertainty import recording_variances
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.servo.servo_delay import servo_delay_errors

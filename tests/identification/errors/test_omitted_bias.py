@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.identification.errors.omitted_bias import (
+from asbuilt.identification.errors.bias import (
     moved_estimate,
     shrunken,
 )

@@ -14,10 +14,10 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.capsules import Surroundings, neighbours, surroundings
 from asbuilt.excitation.collision.distances import nearest_on_segments, nearest_to_box
+from asbuilt.excitation.information.information import random_states
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.pacing import CHECK_RATE
-from asbuilt.excitation.state_bounds import random_states
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE
 from asbuilt.excitation.state_constraint import StateConstraint
 from asbuilt.findings import Cure
 

@@ -17,13 +17,12 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.design.interior_point import Evaluation, MotionProgram
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.criteria import Criterion
-from asbuilt.excitation.information.information import Information, mean_information
+from asbuilt.excitation.information.information import Information, limited_model, mean_information
 from asbuilt.excitation.information.information_bound import InformationBound
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motions.motion import Motion, limit_array
-from asbuilt.excitation.motions.pacing import CHECK_RATE
 from asbuilt.excitation.motions.parametrisation import Parametrisation
-from asbuilt.excitation.state_bounds import limited_model
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE
 from asbuilt.excitation.state_constraint import PowerLimit, StateConstraint, smallest_distance
 
 

@@ -26,12 +26,11 @@ from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.search import DesignSearch, Task
 from asbuilt.excitation.information.criteria import criterion_of
-from asbuilt.excitation.information.information import Information
+from asbuilt.excitation.information.information import Information, parameter_scale
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
-from asbuilt.excitation.state_bounds import parameter_scale
 from asbuilt.excitation.state_constraint import StateConstraint
 
 Progress = Callable[[SearchProgress], None]

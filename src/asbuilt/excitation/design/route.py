@@ -14,8 +14,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.pacing import paced_moves, violated
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
+from asbuilt.excitation.motions.point_to_point import PointToPointMotion, paced_moves, violated
 from asbuilt.excitation.state_constraint import StateConstraint
 
 NODES, NEIGHBOURS = 1000, 12

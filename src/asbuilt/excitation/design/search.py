@@ -23,13 +23,11 @@ from asbuilt.excitation.design.multistart import (
     search_all,
 )
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.information.information import mean_information
+from asbuilt.excitation.information.information import mean_information, random_states
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion, limit_array
-from asbuilt.excitation.motions.pacing import CHECK_RATE, paced_moves
 from asbuilt.excitation.motions.parametrisation import Parametrisation
-from asbuilt.excitation.motions.point_to_point import PointToPoint
-from asbuilt.excitation.state_bounds import random_states
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPoint, paced_moves
 from asbuilt.excitation.state_constraint import (
     STANDING,
     PowerLimit,

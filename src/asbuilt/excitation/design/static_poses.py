@@ -20,12 +20,10 @@ from asbuilt.excitation.collision.constraint import constraints_of
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.route import Roadmap, route_through, segments_free
 from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information
+from asbuilt.excitation.information.information import Information, limited_model
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motions.motion import read_only
-from asbuilt.excitation.motions.pacing import CHECK_RATE
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.state_bounds import limited_model
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPointMotion
 from asbuilt.excitation.state_constraint import (
     STANDING,
     StateConstraint,

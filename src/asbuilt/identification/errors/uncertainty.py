@@ -229,3 +229,32 @@ def _degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     freedom = np.full(len(square), float(len(leverages) - 1))
     np.divide(trace**2, square, out=freedom, where=square > 0)
     return freedom
+
+
+FEWEST_RECORDINGS = 4
+"""Recordings below which their scatter gives no usable variance."""
+
+
+def recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:
+    """Return the variances (p,) of base parameters with whole recordings as clusters.
+
+    Blocks of one recording share what the model lacks in its motion, such as a law of the servo
+    that only steps show; then the scatter of blocks is too small, and that of recordings is not
+    (CR2, as in `block_uncertainty`, Student's quantile of its few degrees of freedom included).
+    Zero if there are fewer than `FEWEST_RECORDINGS`.
+    """
+    sources = [block.source for block in information.blocks]
+    names = list(dict.fromkeys(sources))
+    if len(names) < FEWEST_RECORDINGS or estimate.rank == 0:
+        return np.zeros(len(estimate.beta))
+    number = np.array([names.index(each) for each in sources])
+    grams, scores = block_scores(information, estimate)
+    members = [number == k for k in range(len(names))]
+    root = estimate.solution.inverse_root
+    found = corrected_moves(
+        np.array([grams[each].sum(axis=0) for each in members]),
+        np.array([scores[each].sum(axis=0) for each in members]),
+        root,
+    )
+    variance = np.sum((found.moves @ root.T) ** 2, axis=0)
+    return np.asarray(variance * widening(found.freedom) ** 2)

@@ -18,7 +18,7 @@ from asbuilt.identification.bodies.standard_parameters import StandardParameters
 from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import carrying
-from asbuilt.monitoring.model_error import ModelError
+from asbuilt.monitoring.observed import ModelError
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model

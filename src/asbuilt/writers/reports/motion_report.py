@@ -17,8 +17,8 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.static_poses import StaticDesign
 from asbuilt.excitation.design_findings import design_findings
+from asbuilt.excitation.information.information import limited_model
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.state_bounds import limited_model
 from asbuilt.writers.figures.figure_style import blank_figure, figure_address, styled
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.motion_view import MotionView

@@ -17,9 +17,9 @@ from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import grouped_files
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.untrusted import shown_path
-from asbuilt.workflow.fleet.ledger.identities import LONGEST_PATTERN, checked_id, identity_in
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
+from asbuilt.workflow.fleet.ledger.store import LONGEST_PATTERN, checked_id, identity_in
 from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.overview import suspicions
 from asbuilt.workflow.fleet.reduction.log_source import choose_settings
