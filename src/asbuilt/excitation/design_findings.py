@@ -7,26 +7,22 @@ import numpy as np
 from asbuilt.excitation.collision.constraint import skeleton_distance
 from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.static_poses import StaticDesign
-from asbuilt.excitation.limits import LimitReport
-from asbuilt.excitation.motions.motion import JUMPING, Motion
+from asbuilt.excitation.motions.motion import JUMPING
 from asbuilt.findings import Cure, Finding, joined, ranked
 
 
 def design_findings(design: Design | StaticDesign) -> tuple[Finding, ...]:
     """Return the findings about a designed motion or static poses, the most severe first."""
-    found = [*_violations(design.limits), _collisions(design)]
+    found = [
+        Finding("limit_violated", "error", str(margin), joint=margin.joint, time=margin.time)
+        for margin in design.limits.violations
+    ]
+    found.append(_collisions(design))
     for note in design.notes:
         unchecked = note.startswith("NOT CHECKED")
         found.append(Finding("design_note", "warning" if unchecked else "info", note))
     found += _of_motion(design) if isinstance(design, Design) else _of_poses(design)
     return ranked(found)
-
-
-def _violations(limits: LimitReport) -> list[Finding]:
-    return [
-        Finding("limit_violated", "error", str(margin), joint=margin.joint, time=margin.time)
-        for margin in limits.violations
-    ]
 
 
 def _collisions(design: Design | StaticDesign) -> Finding:
@@ -35,18 +31,14 @@ def _collisions(design: Design | StaticDesign) -> Finding:
         text = f"smallest distance between bodies {1000 * distance:.0f} mm"
         return Finding("smallest_distance", "info", text)
     text = "NOT CHECKED FOR COLLISIONS with itself, the floor or anything else"
-    own = _skeleton_distance(design, design.motion)
+    # Rate at which the skeleton of an unchecked motion is tested for collisions [Hz].
+    poses = design.motion.derivative(design.motion.sample_times(100.0))
+    own = skeleton_distance(design.model, poses)
     if own is not None:
         verb = "overlaps itself by" if own < 0 else "keeps this distance from itself:"
         text += f"; the robot's skeleton, as capsules, {verb} {abs(1000 * own):.0f} mm"
     cure = Cure("check them in the design", {"collision": "skeleton"})
     return Finding("collisions_unchecked", "warning", text, cure)
-
-
-def _skeleton_distance(design: Design | StaticDesign, motion: Motion) -> float | None:
-    # Rate at which the skeleton of an unchecked motion is tested for collisions [Hz].
-    poses = motion.derivative(motion.sample_times(100.0))
-    return skeleton_distance(design.model, poses)
 
 
 def _of_motion(design: Design) -> list[Finding]:

@@ -167,14 +167,14 @@ class LimitReport:
     @property
     def worst(self) -> dict[str, LimitMargin | None]:
         """Smallest margin over the joints by quantity, None without a limit."""
-        found: dict[str, LimitMargin | None] = {}
-        for quantity in _UNITS:
-            found[quantity] = min(
+        return {
+            quantity: min(
                 (m for m in self.margins if m.quantity == quantity),
                 key=lambda m: m.margin,
                 default=None,
             )
-        return found
+            for quantity in _UNITS
+        }
 
     @property
     def worst_margin(self) -> dict[str, float | None]:

@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_jacobians, link_poses
+from asbuilt.monitoring.causal_filter import pole_for
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import HALF
@@ -140,7 +141,10 @@ def smallest_forces(
     """
     rng = np.random.default_rng(0)
     steps = np.diff(observed.t)
-    pole, spacing = observer.pole(steps) if filtered else None, float(np.median(steps))
+    pole, spacing = (
+        pole_for(steps, observer.bandwidth) if filtered else None,
+        float(np.median(steps)),
+    )
     share = excess_response(observer, within, spacing, pole)
     found = []
     for k in np.unique(np.linspace(0.1, 0.9, POSES) * (len(observed.t) - 1)).astype(int):

@@ -264,7 +264,7 @@ class Observer:
             )
         steps[steps > LONGEST_STEP] = -1.0
         if qd is None:
-            q, v, tau, settled = filtered_log(steps, q, tau, self.pole(steps))
+            q, v, tau, settled = filtered_log(steps, q, tau, pole_for(steps, self.bandwidth))
             steps[~settled] = -1.0
         else:
             v = np.ascontiguousarray(qd, dtype=np.float64)
@@ -279,10 +279,6 @@ class Observer:
         step[1:] = np.abs(np.diff(tau, axis=0))
         parts = (lagged(share, x) for x in (rate, step, unknown, external))
         return Observed(times, share, q, v, *parts)
-
-    def pole(self, steps: Array) -> float:
-        """Return the pole [rad/s] of the causal filter for positive time steps [s]."""
-        return pole_for(steps, self.bandwidth)
 
     def _filtered(self, dt: float, q: Array, tau: Array) -> tuple[Array, Array, Array]:
         """Return filtered position, velocity and torque; the second sample settles the filter."""

@@ -77,7 +77,11 @@ def validate(
     found = []
     for recording in as_recordings(result.model, recordings):
         samples = _prepared(result, recording, options)
-        fitted = as_validated(result, samples)
+        # Samples that were held out of the result are predicted with the values of its training.
+        held = result.holdout is not None and samples.source.endswith(
+            f", held out {result.holdout}"
+        )
+        fitted = result.of_training if held else result
         found.append(with_exported(fitted, validate_samples(fitted, samples, cad=cad), samples))
     return tuple(found)
 
@@ -154,12 +158,6 @@ def _prepared(
         delays=result.delay if options.chain is None else (),
     )
     return (prepared.held_out or prepared.training)[0]
-
-
-def as_validated(result: IdentificationResult, samples: Samples) -> IdentificationResult:
-    """Return the result with the values of its training fit, if the samples were held out of it."""
-    held = result.holdout is not None and samples.source.endswith(f", held out {result.holdout}")
-    return result.of_training if held else result
 
 
 def review(

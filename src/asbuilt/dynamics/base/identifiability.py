@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,30 +70,38 @@ def parameter_verdicts(
 ) -> tuple[StandardParameter, ...]:
     """Return the verdict on every standard parameter, in id order."""
     views = [_link_view(found, i) for i in range(model.n_joints)]
-    verdicts = []
-    for j, name in enumerate(names):
-        rows = [int(b) for b in np.flatnonzero(found.matrix[:, j])]
-        members = tuple(int(found.columns[b]) + 1 for b in rows)
-        alone = len(rows) == 1 and np.count_nonzero(found.matrix[rows[0]]) == 1
-        status: Status = "unidentifiable" if not members else "identifiable" if alone else "grouped"
-        shown = (
-            _shown_in(found.columns, found.matrix, names, j, rows) if status == "grouped" else ""
-        )
-        if j < 10 * model.n_links:
-            link, symbol = j // 10, PARAMETER_NAMES[j % 10]
-            if status == "unidentifiable":
-                reason = _never(model, views[link], symbol)
-            elif status == "identifiable":
-                reason = _alone(views[link], symbol)
-            else:
-                reason = _in_sums(model, found, views, j, symbol) + shown
-        else:
+
+    def reason(j: int, status: Status) -> str:
+        if j >= 10 * model.n_links:
             joint, position = divmod(j - 10 * model.n_links, drive.columns_per_joint)
-            reason = _of_richer_drive(drive, joint, position, status) or _of_drive(
+            return _of_richer_drive(drive, joint, position, status) or _of_drive(
                 model, views, joint, symbol=drive.symbols[position], status=status
             )
-            reason += shown
-        sentence = f"{name}: {STATEMENTS[status]}: {reason}"
+        link, symbol = j // 10, PARAMETER_NAMES[j % 10]
+        if status == "grouped":
+            return _in_sums(model, found, views, j, symbol)
+        if status == "identifiable":
+            return _alone(views[link], symbol)
+        return _never(model, views[link], symbol)
+
+    return _verdicts(found.columns, found.matrix, names, reason)
+
+
+def _verdicts(
+    columns: Indices,
+    matrix: Array,
+    names: Sequence[str],
+    reason: Callable[[int, Status], str],
+) -> tuple[StandardParameter, ...]:
+    """Return a verdict for each column of a regrouping matrix; `reason` says why."""
+    verdicts = []
+    for j, name in enumerate(names):
+        rows = [int(b) for b in np.flatnonzero(matrix[:, j])]
+        alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
+        status: Status = "unidentifiable" if not rows else "identifiable" if alone else "grouped"
+        shown = _shown_in(columns, matrix, names, j, rows) if status == "grouped" else ""
+        sentence = f"{name}: {STATEMENTS[status]}: {reason(j, status)}{shown}"
+        members = tuple(int(columns[b]) + 1 for b in rows)
         verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
     return tuple(verdicts)
 
@@ -121,24 +129,19 @@ def numeric_verdicts(
         "identifiable": "no other parameter has the same effect on the torques",
         "grouped": "others have the same effect on the torques of the joints that have a drive",
     }
-    verdicts = []
-    for j, name in enumerate(names):
-        rows = [int(b) for b in np.flatnonzero(matrix[:, j])]
-        alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
-        status: Status = "unidentifiable" if not rows else "identifiable" if alone else "grouped"
-        shown = _shown_in(columns, matrix, names, j, rows) if status == "grouped" else ""
-        reason = reasons[status]
-        if views and j < 10 * model.n_links:
-            view = views[j // 10]
-            if status == "unidentifiable" and not model.links[j // 10].negligible:
-                reason = _never(model, view, PARAMETER_NAMES[j % 10])
-            elif status == "grouped":
-                together = np.flatnonzero(matrix[rows].any(axis=0))
-                reason = _in_loop(model, j // 10, together) or reason
-        sentence = f"{name}: {STATEMENTS[status]}: {reason}{shown}"
-        members = tuple(int(columns[b]) + 1 for b in rows)
-        verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
-    return tuple(verdicts)
+
+    def reason(j: int, status: Status) -> str:
+        link, usual = j // 10, reasons[status]
+        if not views or link >= model.n_links:
+            return usual
+        if status == "unidentifiable" and not model.links[link].negligible:
+            return _never(model, views[link], PARAMETER_NAMES[j % 10])
+        if status == "grouped":
+            together = np.flatnonzero(matrix[matrix[:, j] != 0.0].any(axis=0))
+            return _in_loop(model, link, together) or usual
+        return usual
+
+    return _verdicts(columns, matrix, names, reason)
 
 
 def _closed_views(model: RobotModel) -> list[_LinkView]:

@@ -153,9 +153,7 @@ class Polynomial:
     @property
     def constant(self) -> float | None:
         """The value of a polynomial without symbols, None where there are symbols."""
-        if any(self.terms):
-            return None
-        return self.terms.get((), 0.0)
+        return None if any(self.terms) else self.terms.get((), 0.0)
 
     def value(self, lengths: Mapping[str, float]) -> float:
         """Return the value at given lengths."""

@@ -73,7 +73,8 @@ class CollisionGuard(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return v of every pair, (N, pairs)."""
-        return self._softened(self._distances(q)[0])
+        beyond = self._distances(q)[0] - self._bodies.clearance
+        return np.asarray(1.0 - np.tanh(beyond / SOFTNESS))
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivative of v by q (N, pairs, n, 1), by Jacobians at nearest points."""
@@ -111,10 +112,6 @@ class CollisionGuard(StateConstraint):
         if not self.left_out:
             return ()
         return (f"NOT CHECKED, they touch in nearly every pose: {', '.join(self.left_out)}",)
-
-    def _softened(self, distances: Array) -> Array:
-        softened: Array = 1.0 - np.tanh((distances - self._bodies.clearance) / SOFTNESS)
-        return softened
 
     def _distances(self, q: Array) -> tuple[Array, Array, Array]:
         """Return distances (N, pairs), nearest axis points (N, pairs, 2, 3) and normals between."""

@@ -213,7 +213,9 @@ def find_delays(
     """
     fits = _Fits(model, prepare, drive, count, block_seconds)
     n = model.n_joints
-    common, lags = _common(count, n), _friction(count, n)
+    # One delay per recording is that of all its joints together.
+    common = _per_joint(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
+    lags = _friction(count, n)
     together, columns = fits.settled(np.zeros(count), common)
     delays, std_errors = together, columns.solve(common).std_errors
     mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
@@ -342,26 +344,14 @@ def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
     return chance, float(np.max(np.abs(off) - RULES.significant * errors))
 
 
-def _common(count: int, n: int) -> Array:
-    """Return the shares of one delay per recording, (R, 2 n, R)."""
-    shares = np.zeros((count, 2 * n, count))
-    for r in range(count):
-        shares[r, :n, r] = 1.0
-    return shares
-
-
 def _per_joint(count: int, n: int) -> Array:
     """Return the shares of one delay per recording and joint, (R, 2 n, R n)."""
-    shares = np.zeros((count, 2 * n, count * n))
-    for r in range(count):
-        for k in range(n):
-            shares[r, k, r * n + k] = 1.0
-    return shares
+    shares = np.zeros((count, 2 * n, count, n))
+    r, k = np.indices((count, n))
+    shares[r, k, r, k] = 1.0
+    return shares.reshape(count, 2 * n, count * n)
 
 
 def _friction(count: int, n: int) -> Array:
     """Return the shares of one lag of friction per joint, (R, 2 n, n)."""
-    shares = np.zeros((count, 2 * n, n))
-    for k in range(n):
-        shares[:, n + k, k] = 1.0
-    return shares
+    return np.tile(np.eye(2 * n)[:, n:], (count, 1, 1))

@@ -276,7 +276,8 @@ def identify_payload_samples(
     parameters, projected = _nearest_body(estimate, noise + gains)
     values, reported = _reported(parameters, noise + gains)
     errors, noise_errors, gain_errors = (
-        _deviations(reported @ part @ reported.T) for part in (noise + gains, noise, gains)
+        np.sqrt(np.maximum(np.diag(reported @ part @ reported.T), 0.0))
+        for part in (noise + gains, noise, gains)
     )
     determined = _determined(values, errors)
     payload = Payload(
@@ -518,10 +519,6 @@ def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
         ]
     )
     return report(parameters), slope
-
-
-def _deviations(covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def _determined(values: Array, errors: Array) -> NDArray[np.bool_]:

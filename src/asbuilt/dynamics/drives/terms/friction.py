@@ -1,4 +1,4 @@
-"""Friction by the velocity of the joint alone, and a constant torque."""
+"""Inertia and friction of a drive by the motion of its joint alone, and its constant torque."""
 
 from __future__ import annotations
 
@@ -6,11 +6,48 @@ from collections.abc import Hashable, Mapping
 
 from asbuilt.dynamics.drives.term import (
     ALL_SOURCES,
+    MOTOR_SOURCES,
     DriveTerm,
     NonlinearParameter,
     NonlinearValue,
     drive_term,
 )
+
+
+@drive_term
+class Armature(DriveTerm):
+    """Add `Ia qdd`; gyroscopic torques of the rotor are neglected.
+
+    A sensor between gear and joint does not measure it.
+    """
+
+    key = "armature"
+    position = 10
+    symbols = ("Ia",)
+    columns = ("qdd",)
+    formula = "Ia qdd"
+    revolute_units = ("kg m^2",)
+    prismatic_units = ("kg",)
+    cause = "armature"
+    non_negative = True
+    ratio_powers = (2.0,)
+    default_for = MOTOR_SOURCES
+    tried_for = ("unknown",)
+
+
+@drive_term
+class Coulomb(DriveTerm):
+    """Add `Fc sign(qd)`, exactly 0 at standstill."""
+
+    key = "coulomb"
+    title = "Coulomb friction"
+    position = 30
+    symbols = ("Fc",)
+    columns = ("sign(qd)",)
+    formula = "Fc sign(qd)"
+    cause = "friction"
+    non_negative = True
+    default_for = ALL_SOURCES
 
 
 @drive_term
@@ -28,21 +65,6 @@ class Viscous(DriveTerm):
     cause = "friction"
     non_negative = True
     ratio_powers = (2.0,)
-    default_for = ALL_SOURCES
-
-
-@drive_term
-class Coulomb(DriveTerm):
-    """Add `Fc sign(qd)`, exactly 0 at standstill."""
-
-    key = "coulomb"
-    title = "Coulomb friction"
-    position = 30
-    symbols = ("Fc",)
-    columns = ("sign(qd)",)
-    formula = "Fc sign(qd)"
-    cause = "friction"
-    non_negative = True
     default_for = ALL_SOURCES
 
 

@@ -1,30 +1,9 @@
-"""Inertia of rotors, and what a motor adds that several joints turn."""
+"""What a motor adds that several joints turn: inertia, friction and the bend of cables."""
 
 from __future__ import annotations
 
-from asbuilt.dynamics.drives.term import MOTOR_SOURCES, DriveTerm, drive_term
+from asbuilt.dynamics.drives.term import DriveTerm, drive_term
 from asbuilt.dynamics.drives.terms.elastic import HIGHEST, Cable
-
-
-@drive_term
-class Armature(DriveTerm):
-    """Add `Ia qdd`; gyroscopic torques of the rotor are neglected.
-
-    A sensor between gear and joint does not measure it.
-    """
-
-    key = "armature"
-    position = 10
-    symbols = ("Ia",)
-    columns = ("qdd",)
-    formula = "Ia qdd"
-    revolute_units = ("kg m^2",)
-    prismatic_units = ("kg",)
-    cause = "armature"
-    non_negative = True
-    ratio_powers = (2.0,)
-    default_for = MOTOR_SOURCES
-    tried_for = ("unknown",)
 
 
 @drive_term

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
@@ -76,10 +77,6 @@ def by_day(logs: Iterable[Day]) -> tuple[Day, ...]:
 def _together(group: Sequence[Day]) -> Day:
     if len(group) == 1:
         return group[0]
-    grams = []
-    for parts in zip(*(day.grams for day in group), strict=True):
-        size = min(len(part) for part in parts)
-        grams.append(np.sum([part[:size, :size] for part in parts], axis=0))
     names = set.intersection(*(set(day.covariates) for day in group))
     total = sum(day.n_samples for day in group)
     means = {
@@ -90,7 +87,7 @@ def _together(group: Sequence[Day]) -> Day:
         group[-1].last,
         sum(day.n_logs for day in group),
         total,
-        tuple(grams),
+        summed(group),
         means,
     )
 
@@ -171,7 +168,7 @@ class FleetColumns:
         basis: Array | None = None,
     ) -> Array:
         """Return the Gram matrix of all joints' weighted columns (times `basis`) and the error."""
-        wider = None if basis is None else _with_error(basis)
+        wider = None if basis is None else block_diag(basis, 1.0)
         size = self.size + 1 if wider is None else wider.shape[1]
         total = np.zeros((size, size))
         for k, gram in enumerate(grams):
@@ -209,13 +206,6 @@ class FleetColumns:
     def residual_energy(self, grams: Sequence[Array], beta: Array) -> Array:
         """Return `|tau_k - W_k beta|^2` of every joint, (n,)."""
         return self.energies(grams, np.append(np.zeros(self.size), 1.0), beta)
-
-
-def _with_error(basis: Array) -> Array:
-    wider = np.zeros((basis.shape[0] + 1, basis.shape[1] + 1))
-    wider[:-1, :-1] = basis
-    wider[-1, -1] = 1.0
-    return wider
 
 
 def summed(days: Sequence[Day]) -> tuple[Array, ...]:

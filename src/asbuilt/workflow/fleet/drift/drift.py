@@ -232,25 +232,24 @@ def type_drift(
             days = examples[robot_id] if robot_id in examples else read(robot_id)
             if days:
                 histories[robot_id] = _history(directions, days, names)
-                dates[robot_id] = tuple(_bare(day) for day in days)
+                dates[robot_id] = tuple(replace(day, grams=(), covariates={}) for day in days)
             if tick is not None:
                 tick(robot_id)
         variation = estimate_variation(list(histories.values()))
-        rows = []
-        for robot_id, inflation in zip(histories, variation.inflations, strict=True):
-            rows.append(
-                _robot_drift(
-                    robot_id,
-                    robot_type,
-                    directions,
-                    variation,
-                    float(inflation),
-                    histories[robot_id],
-                    dates[robot_id],
-                    since,
-                    read,
-                )
+        rows = [
+            _robot_drift(
+                robot_id,
+                robot_type,
+                directions,
+                variation,
+                float(inflation),
+                histories[robot_id],
+                dates[robot_id],
+                since,
+                read,
             )
+            for robot_id, inflation in zip(histories, variation.inflations, strict=True)
+        ]
     n_days = sum(each.n_days for each in histories.values())
     return rows, TypeVariation(
         robot_type,
@@ -326,11 +325,6 @@ def _history(directions: Directions, days: Sequence[Day], names: Sequence[str]) 
         [[day.covariates.get(name, np.nan) for name in names] for day in days]
     ).reshape(len(days), len(names))
     return History(J, s, covariates)
-
-
-def _bare(day: Day) -> Day:
-    """Return a day without its inner products."""
-    return Day(day.date, day.last, day.n_logs, day.n_samples, (), {})
 
 
 def _robot_drift(

@@ -216,19 +216,16 @@ class RemoteStore:
             raise ResultError(f"{self.root}/{path} has more than {LARGEST / 1e6:.0f} MB")
         return bytes(content)
 
-    def write(self, path: str, content: bytes) -> None:
-        """Write a file in one request."""
-        self._write(path, content)
-
     def create(self, path: str, content: bytes) -> bool:
         """Write a file in one request that fails if it is there, where the service can."""
         try:
-            self._write(path, content, mode="create")
+            self.write(path, content, mode="create")
         except FileExistsError:
             return False
         return True
 
-    def _write(self, path: str, content: bytes, **how: str) -> None:
+    def write(self, path: str, content: bytes, **how: str) -> None:
+        """Write a file in one request."""
         try:
             self._files.pipe_file(f"{self._folder}/{path}", content, **how)
         except FileExistsError:
