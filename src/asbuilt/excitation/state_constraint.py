@@ -72,11 +72,7 @@ class TorqueLimit(StateConstraint):
         self._limit = limit
         self._finite = np.flatnonzero(np.isfinite(limit))
         self._drive, self._values = described_drive(self._model)
-        self._differ = any(
-            isinstance(getattr(term, parameter.name), tuple)
-            for term in self._drive.terms
-            for parameter in term.nonlinear
-        )
+        self._differ = any(term.differs_by_joint for term in self._drive.terms)
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque over its limit, (N, models x limited joints)."""

@@ -194,7 +194,7 @@ class Information:
 
     def _exact_drive_columns(self, state: Sequence[Array]) -> Array:
         drive, samples, n = self.base.drive, len(state[0]), self.model.n_joints
-        if not self._differ:
+        if not any(term.differs_by_joint for term in drive.terms):
             flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
             return drive.evaluate(*flat[:3], load=flat[3] if len(flat) > 3 else None).reshape(
                 -1, samples, n
@@ -206,15 +206,6 @@ class Information:
                 *own[:3], load=own[3] if len(own) > 3 else None, joint=k
             )
         return columns
-
-    @cached_property
-    def _differ(self) -> bool:
-        """Whether a term has a nonlinear parameter of its own for each joint."""
-        return any(
-            isinstance(getattr(term, parameter.name), tuple)
-            for term in self.base.drive.terms
-            for parameter in term.nonlinear
-        )
 
     def _state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
         load = [inverse_dynamics(self.model, q, qd, qdd)] if self.base.drive.needs_load else []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -15,6 +14,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_para
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.errors.delay_errors import DelayColumns, delay_columns
 from asbuilt.identification.estimators.consistent_fit import fit_toward_cad
@@ -28,9 +28,6 @@ from asbuilt.identification.information.square_root_information import (
     accumulate_stream,
 )
 from asbuilt.identification.result.design_values import design_values
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 def predicts_better(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +19,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.identification.errors.common_growth import BlockScores
@@ -27,9 +27,6 @@ from asbuilt.identification.errors.uncertainty import scatter_of
 from asbuilt.identification.information.held_out import motions_of
 from asbuilt.identification.information.rows import TimeBlock, sample_blocks
 from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True)

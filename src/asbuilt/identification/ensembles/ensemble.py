@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,16 +31,6 @@ FAITHFUL = 0.1
 its distance by which the robot next to an impossible draw may be farther."""
 AT_ONCE = 50
 """Draws that are fitted together, whoever does it, so that the numbers do not depend on that."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Draws to fit together."""
-
-    cad: CadPrior
-    base: BaseParameters
-    drawn: Array
-    information_root: Array
 
 
 def consistent_draws(
@@ -78,17 +69,16 @@ def consistent_draws(
     IdentifiabilityError
         If no fit converges.
     """
-    parts = [
-        _Part(cad, base, drawn[first : first + AT_ONCE], information_root)
-        for first in range(0, len(drawn), AT_ONCE)
-    ]
-    chi, chi_square = zip(*results_in_order(_fitted, parts, workers), strict=True)
+    parts = [drawn[first : first + AT_ONCE] for first in range(0, len(drawn), AT_ONCE)]
+    fit = partial(_fitted, cad, base, information_root)
+    chi, chi_square = zip(*results_in_order(fit, parts, workers), strict=True)
     return np.concatenate(chi), np.concatenate(chi_square)
 
 
-def _fitted(part: _Part) -> tuple[Array, Array]:
+def _fitted(
+    cad: CadPrior, base: BaseParameters, information_root: Array, drawn: Array
+) -> tuple[Array, Array]:
     """Return the consistent parameters next to the draws of a part, and their chi-squares."""
-    cad, base, drawn, information_root = part.cad, part.base, part.drawn, part.information_root
     factors = np.stack([_factor(information_root, beta) for beta in drawn])
     weights = [*DESCENT]
     while weights[-1] > WEAKEST * 1.5:

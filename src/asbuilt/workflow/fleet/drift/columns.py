@@ -6,17 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-
-if TYPE_CHECKING:
-    from asbuilt.workflow.fleet.ledger.entry import Entry
-    from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.ledger.entry import Entry
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
