@@ -115,12 +115,12 @@ def scatter_of(data: BlockScores, root: Array) -> Scattered:
     `root` (p, r) turns the r whitened unknowns of the fit into these. The fit of all r absorbs
     residuals, so none may be left out.
     """
-    found = corrected_moves(data.grams, data.scores, root)
+    moves, absorbed, leverage, freedom = corrected_moves(data.grams, data.scores, root)
     determined = np.any(root, axis=1)
-    typical = float(np.median(found.freedom[determined])) if determined.any() else 1.0
-    common = common_growth(data, found.moves, found.absorbed, found.leverage, typical)
-    parts = np.sqrt(common.factor) * found.moves @ root.T
-    scatter = BlockScatter.of(parts, found.freedom, common.variance)
+    typical = float(np.median(freedom[determined])) if determined.any() else 1.0
+    common = common_growth(data, moves, absorbed, leverage, typical)
+    parts = np.sqrt(common.factor) * moves @ root.T
+    scatter = BlockScatter.of(parts, freedom, common.variance)
     variance = np.sum(parts**2, axis=0) * widening(scatter.degrees_of_freedom) ** 2
     return Scattered(variance, scatter, common)
 
@@ -131,22 +131,12 @@ def unit_variance(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrectedMoves:
-    """Hold the scores of clusters of rows, corrected for their leverage as CR2 does.
+def corrected_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Array, float, Array]:
+    """Return scores of clusters corrected for their leverage as CR2 does, and what follows.
 
-    `moves` (B, rank) are `(1 - M_b)^(-1/2) g_b`, `absorbed` (B, rank, rank) `(1 - M_b)^(-1/2) M_b`,
-    `leverage` is the trace of all M_b, `freedom` (p,) the degrees of freedom of each variance.
-    """
-
-    moves: Array
-    absorbed: Array
-    leverage: float
-    freedom: Array
-
-
-def corrected_moves(grams: Array, scores: Array, root: Array) -> CorrectedMoves:
-    """Return the moves of clusters with information (B, rank, rank) and scores (B, rank).
+    The moves `(1 - M_b)^(-1/2) g_b` (B, rank), what the fit absorbs `(1 - M_b)^(-1/2) M_b`
+    (B, rank, rank), the trace of all M_b, and the degrees of freedom (p,) of each variance, for
+    clusters with information M_b (B, rank, rank) and scores g_b (B, rank).
 
     `root` (p, rank) is the inverse root, by which moves become changes of parameters.
     """
@@ -165,7 +155,7 @@ def corrected_moves(grams: Array, scores: Array, root: Array) -> CorrectedMoves:
             absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
             trace += float(leverage.sum())
         freedom = _degrees_of_freedom(leverages, weight)
-    return CorrectedMoves(moves, absorbed, trace, freedom)
+    return moves, absorbed, trace, freedom
 
 
 def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
@@ -251,10 +241,10 @@ def recording_variances(information: SquareRootInformation, estimate: Estimate) 
     grams, scores = block_scores(information, estimate)
     members = [number == k for k in range(len(names))]
     root = estimate.solution.inverse_root
-    found = corrected_moves(
+    moves, _, _, freedom = corrected_moves(
         np.array([grams[each].sum(axis=0) for each in members]),
         np.array([scores[each].sum(axis=0) for each in members]),
         root,
     )
-    variance = np.sum((found.moves @ root.T) ** 2, axis=0)
-    return np.asarray(variance * widening(found.freedom) ** 2)
+    variance = np.sum((moves @ root.T) ** 2, axis=0)
+    return np.asarray(variance * widening(freedom) ** 2)

@@ -165,7 +165,7 @@ class FleetColumns:
         basis: Array | None = None,
     ) -> Array:
         """Return the Gram matrix of all joints' weighted columns (times `basis`) and the error."""
-        wider = None if basis is None else block_diag(basis, 1.0)
+        wider = None if basis is None else block_diag(basis, np.eye(1))
         size = self.size + 1 if wider is None else wider.shape[1]
         total = np.zeros((size, size))
         for k, gram in enumerate(grams):
