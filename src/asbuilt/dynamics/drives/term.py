@@ -126,7 +126,7 @@ class DriveTerm:
                 f" {', '.join(sorted(known))}"
             )
         cls.needs_load, cls.by_position = "load" in used, "q" in used
-        cls.title = cls.title or cls.key.replace("_", " ")
+        cls.title = cls.__dict__.get("title") or cls.key.replace("_", " ")
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write the columns of one joint into `out` (len(symbols), n_samples).

@@ -147,7 +147,7 @@ ELSEWHERE = (0.02, 0.15, 1.0, 0.1, 0.0)
 
 
 @drive_term
-class Cylinder(DriveTerm):
+class Cylinder(ExtensionSpring):
     """Add `-Pc (1 + rate (length - l)) dl/dq`: a cylinder that pushes its ends apart.
 
     Its force is Pc [N] where its length l is `length`, and grows by the share `rate` [1/m] as it is
@@ -155,11 +155,6 @@ class Cylinder(DriveTerm):
     those of an `extension_spring`.
     """
 
-    inner: NonlinearValue = None
-    outer: NonlinearValue = None
-    angle: NonlinearValue = None
-    length: NonlinearValue = None
-    axial: NonlinearValue = None
     rate: NonlinearValue = None
 
     key = "cylinder"
@@ -176,4 +171,4 @@ class Cylinder(DriveTerm):
         ),
         NonlinearParameter("rate", 0.0, 0.0, 1e3, "1/m", fitted=False),
     )
-    by_construction = True
+    ratio_powers = ()

@@ -10,14 +10,6 @@ from asbuilt.dynamics.drives.term import (
     drive_term,
 )
 
-FADING = (
-    NonlinearParameter(
-        "velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
-    ),
-    NonlinearParameter("power", 2.0, 0.5, 10.0, "", fitted=False, typical=2.0),
-)
-"""Velocity and power of `exp(-|qd / velocity|^power)`, the same for every term of the kind."""
-
 
 @drive_term
 class LoadFriction(DriveTerm):
@@ -57,7 +49,12 @@ class LoadStribeck(DriveTerm):
     formula = "Fls |load| exp(-|qd/velocity|^power) sign(qd)"
     revolute_units = ("1",)
     prismatic_units = ("1",)
-    nonlinear = FADING
+    nonlinear = (
+        NonlinearParameter(
+            "velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
+        ),
+        NonlinearParameter("power", 2.0, 0.5, 10.0, "", fitted=False, typical=2.0),
+    )
     ratio_powers = (0.0,)
 
 
@@ -90,14 +87,11 @@ class DirectionalLoadFriction(DriveTerm):
 
 
 @drive_term
-class DirectionalLoadStribeck(DriveTerm):
+class DirectionalLoadStribeck(LoadStribeck):
     """Add `directional_load_friction` times `exp(-|qd / velocity|^power)`.
 
     Source: Duclusaud, Passault, Padois and Ly, arXiv 2410.08650, 2024: model M5.
     """
-
-    velocity: NonlinearValue = None
-    power: NonlinearValue = None
 
     key = "directional_load_stribeck"
     title = "directional load-dependent Stribeck friction"
@@ -110,21 +104,17 @@ class DirectionalLoadStribeck(DriveTerm):
     formula = "(Flsm max(load sign(qd), 0) + Flse max(-load sign(qd), 0)) s(qd) sign(qd)"
     revolute_units = ("1", "1")
     prismatic_units = ("1", "1")
-    nonlinear = FADING
     ratio_powers = (0.0, 0.0)
 
 
 @drive_term
-class QuadraticLoadStribeck(DriveTerm):
+class QuadraticLoadStribeck(LoadStribeck):
     """Add `load^2 exp(-|qd / velocity|^power) sign(qd)` times Flqm or Flqe.
 
     Flqm counts where the motor drives (`load qd > 0`), Flqe where the load drives.
 
     Source: Duclusaud, Passault, Padois and Ly, arXiv 2410.08650, 2024: model M6.
     """
-
-    velocity: NonlinearValue = None
-    power: NonlinearValue = None
 
     key = "quadratic_load_stribeck"
     title = "quadratic load-dependent Stribeck friction"
@@ -137,5 +127,4 @@ class QuadraticLoadStribeck(DriveTerm):
     formula = "(Flqm max(load sign(qd), 0)^2 + Flqe max(-load sign(qd), 0)^2) s(qd) sign(qd)"
     revolute_units = ("1/(N m)", "1/(N m)")
     prismatic_units = ("1/N", "1/N")
-    nonlinear = FADING
     ratio_powers = (-1.0, -1.0)

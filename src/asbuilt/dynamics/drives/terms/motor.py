@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from asbuilt.dynamics.drives.term import DriveTerm, drive_term
+from asbuilt.dynamics.drives.term import drive_term
 from asbuilt.dynamics.drives.terms.elastic import HIGHEST, Cable
+from asbuilt.dynamics.drives.terms.friction import Armature, Coulomb, Viscous
 
 
 @drive_term
-class MotorArmature(DriveTerm):
+class MotorArmature(Armature):
     """Add `Iam s_dd` of the motor coordinate s to each joint that turns it, times its share.
 
     `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
@@ -17,18 +18,14 @@ class MotorArmature(DriveTerm):
     key = "motor_armature"
     position = 12
     symbols = ("Iam",)
-    columns = ("qdd",)
     formula = "T^T Iam (T qdd)"
-    revolute_units = ("kg m^2",)
-    prismatic_units = ("kg",)
-    cause = "armature"
-    non_negative = True
-    ratio_powers = (2.0,)
     of_motor = True
+    default_for = ()
+    tried_for = ()
 
 
 @drive_term
-class MotorViscous(DriveTerm):
+class MotorViscous(Viscous):
     """Add `Fvm s_d` of the motor coordinate s to each joint that turns it, times its share.
 
     `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
@@ -39,18 +36,13 @@ class MotorViscous(DriveTerm):
     title = "motor viscous friction"
     position = 24
     symbols = ("Fvm",)
-    columns = ("qd",)
     formula = "T^T Fvm (T qd)"
-    revolute_units = ("N m s/rad",)
-    prismatic_units = ("N s/m",)
-    cause = "friction"
-    non_negative = True
-    ratio_powers = (2.0,)
     of_motor = True
+    default_for = ()
 
 
 @drive_term
-class MotorCoulomb(DriveTerm):
+class MotorCoulomb(Coulomb):
     """Add `Fcm sign(s_d)` of the motor coordinate s to each joint that turns it, times its share.
 
     `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
@@ -61,11 +53,9 @@ class MotorCoulomb(DriveTerm):
     title = "motor Coulomb friction"
     position = 36
     symbols = ("Fcm",)
-    columns = ("sign(qd)",)
     formula = "T^T Fcm sign(T qd)"
-    cause = "friction"
-    non_negative = True
     of_motor = True
+    default_for = ()
 
 
 @drive_term
@@ -76,7 +66,6 @@ class MotorCable(Cable):
     """
 
     key = "motor_cable"
-    title = "motor cable"
     position = 76
     symbols = tuple(f"C{k}s" for k in range(1, HIGHEST + 1))
     formula = "T^T sum_k Cks (T q / pi)^k, k <= order"
