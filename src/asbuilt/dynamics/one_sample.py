@@ -1,4 +1,4 @@
-"""Drive torques as a program for the stack machine of the single-sample kernels."""
+"""Torque and mass matrix of one sample, without the checks and the overhead of many."""
 
 # mypy: allow-untyped-calls
 

@@ -16,6 +16,11 @@ from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 
+STANDING = 0.9
+"""Share of the allowed torque that a robot at rest may need; the rest accelerates it."""
+STEP = 1e-6
+"""Step of the central differences through described friction."""
+
 
 class StateConstraint(ABC):
     """Bound a function of the joint state at one instant: torque, distance, place of the tool.
@@ -50,13 +55,6 @@ def smallest_distance(constraints: Sequence[StateConstraint], q: Array) -> float
     """Return the smallest distance between bodies that any of the constraints checks [m]."""
     found = (constraint.smallest_distance(q) for constraint in constraints)
     return min((distance for distance in found if distance is not None), default=None)
-
-
-STANDING = 0.9
-"""Share of the allowed torque that a robot at rest may need; the rest accelerates it."""
-
-STEP = 1e-6
-"""Step of the central differences through described friction."""
 
 
 class TorqueLimit(StateConstraint):

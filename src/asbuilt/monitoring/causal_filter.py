@@ -12,6 +12,14 @@ SETTLED = 10.0
 """Time in `1 / w` after which the filter has forgotten its start."""
 
 
+LARGEST = 3.0
+"""Errors of a sample, in standard deviations, that count as the largest."""
+ORDER = 4
+"""Order of the differences in which noise shows and motion does not."""
+SLOWEST = 0.1
+"""Share of the samples, the slowest, in which noise is sought."""
+
+
 class CausalFilter:
     """Filter `x'' = w^2 (u - x) - 2 w x'` sample by sample.
 
@@ -91,14 +99,8 @@ def filtered_log(dt: Array, q: Array, tau: Array, pole: float) -> tuple[Array, A
     return x[:, :n].copy(), v[:, :n].copy(), x[:, n:].copy(), settled
 
 
-LARGEST = 3.0
-"""Errors of a sample, in standard deviations, that count as the largest."""
-ORDER = 4
-"""Order of the differences in which noise shows and motion does not."""
 GAIN = float(np.sqrt(70.0))
 """Standard deviation of fourth differences of white noise of 1: root of 1 + 16 + 36 + 16 + 1."""
-SLOWEST = 0.1
-"""Share of the samples, the slowest, in which noise is sought."""
 
 
 def largest_velocity_error(

@@ -18,6 +18,13 @@ from asbuilt.monitoring.thresholds import HALF
 STEP = 1e-6
 
 
+WITHIN = 0.020
+"""Time [s] in which a collision is to be found."""
+POSES = 40
+LEAST_TORQUE = 1e-9
+"""Torque per newton below which a joint does not feel a force."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
     """Hold a force at a frame and, where the torques determine it, its line of action.
@@ -104,13 +111,6 @@ def _nearest_point(wrench: Array) -> Array:
     """Return the point p of `m = p x f` that is nearest to the origin, `f x m / f^2`."""
     moment, force = wrench[:3], wrench[3:]
     return np.asarray(np.cross(force, moment) / (force @ force))
-
-
-WITHIN = 0.020
-"""Time [s] in which a collision is to be found."""
-POSES = 40
-LEAST_TORQUE = 1e-9
-"""Torque per newton below which a joint does not feel a force."""
 
 
 def smallest_forces(

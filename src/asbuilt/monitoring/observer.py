@@ -1,4 +1,4 @@
-"""What enters the balance of momentum of a robot besides the torques of the drives."""
+"""Generalised momentum observer of external torque."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.causal_filter import CausalFilter, filter_pole, filtered_log, pole_for
 from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.thresholds import Thresholds
+
+BANDWIDTH = 8.0
+"""Bandwidth [Hz]: 63 % of a step within 20 ms."""
+LONGEST_STEP = 0.1
+"""Time between samples [s] from which the observer starts anew."""
 
 
 class MomentumBalance:
@@ -90,12 +95,6 @@ def armature_matrix(torque: TorqueModel) -> Array:
     )
     matrix: Array = accelerated - at_rest
     return matrix
-
-
-BANDWIDTH = 8.0
-"""Bandwidth [Hz]: 63 % of a step within 20 ms."""
-LONGEST_STEP = 0.1
-"""Time between samples [s] from which the observer starts anew."""
 
 
 class Observer:

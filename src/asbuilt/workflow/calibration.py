@@ -45,6 +45,11 @@ from asbuilt.workflow.options import ChannelOptions, GainOptions, PayloadOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
 from asbuilt.workflow.study import Study
 
+COMMON = 0.9
+"""Least share of the samples of two channels that has equal time stamps."""
+SAME_MOTION = 0.02
+"""Largest difference of positions of two channels, as a share of the motion."""
+
 
 def identify_payload(
     result: IdentificationResult | Study,
@@ -150,12 +155,6 @@ def _with_delay(chain: SignalChain | None, result: IdentificationResult) -> Sign
     chain = chain or SignalChain()
     known = None if result.chain is None else result.chain.delay
     return replace(chain, delay=known) if chain.delay == "auto" else chain
-
-
-COMMON = 0.9
-"""Least share of the samples of two channels that has equal time stamps."""
-SAME_MOTION = 0.02
-"""Largest difference of positions of two channels, as a share of the motion."""
 
 
 def find_gains(

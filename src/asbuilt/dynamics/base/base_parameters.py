@@ -1,4 +1,4 @@
-"""The regrouping of standard into base parameters where others move joints: by numbers."""
+"""Base parameters: the combinations of standard parameters that joint torques determine."""
 
 from __future__ import annotations
 
@@ -41,6 +41,12 @@ from asbuilt.tables import Column, Table
 SEED = 20152
 
 
+SHOWN = 12
+"""Base parameters that `repr` lists."""
+KEPT = 48
+"""Robots and drives whose base parameters are kept, for the logs of one robot."""
+
+
 def numeric_regrouping(model: RobotModel, drive: DriveSet) -> tuple[Indices, Array]:
     """Return the kept columns, counted from 0, and the matrix K with `Y = Y[:, columns] K`.
 
@@ -69,12 +75,6 @@ def numeric_regrouping(model: RobotModel, drive: DriveSet) -> tuple[Indices, Arr
     for b, j in zip(*np.nonzero(matrix), strict=True):
         matrix[b, j] = without_noise(matrix[b, j])
     return columns, matrix
-
-
-SHOWN = 12
-"""Base parameters that `repr` lists."""
-KEPT = 48
-"""Robots and drives whose base parameters are kept, for the logs of one robot."""
 
 
 @dataclass(frozen=True, eq=False)

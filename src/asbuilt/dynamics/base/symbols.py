@@ -1,7 +1,4 @@
-"""Where on its axis the frame of a joint sits.
-
-A free choice, made so that lengths stay out of local conditions.
-"""
+"""Polynomials in symbols for lengths, and joint frames placed so that few lengths remain."""
 
 from __future__ import annotations
 
@@ -30,6 +27,12 @@ NUMBER = ""
 
 LENGTH_TOLERANCE = 1e-12
 """Symbols must stand for the lengths of a placement to this [m]."""
+
+
+Monomial = tuple[str, ...]
+"""The symbols of a product, sorted; a square has its symbol twice, the empty product is 1."""
+COEFFICIENT_TOLERANCE = 1e-12
+"""A coefficient below this is rounding; coefficients are plain numbers such as 1, 2 or a cosine."""
 
 
 def symbolic_translation(
@@ -94,13 +97,6 @@ def same_build(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
         )
         joints.append(replace(joint, before=before, after=after))
     return replace(model, joints=tuple(joints), lengths=dict(lengths))
-
-
-Monomial = tuple[str, ...]
-"""The symbols of a product, sorted; a square has its symbol twice, the empty product is 1."""
-
-COEFFICIENT_TOLERANCE = 1e-12
-"""A coefficient below this is rounding; coefficients are plain numbers such as 1, 2 or a cosine."""
 
 
 class Polynomial:

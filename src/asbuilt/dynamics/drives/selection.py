@@ -1,4 +1,4 @@
-"""Sets of drive terms that have a name of their own."""
+"""The drive terms chosen for a robot, in canonical order, and named sets of them."""
 
 from __future__ import annotations
 
@@ -38,6 +38,9 @@ STATED = ("velocity", "power")
 """Options that a set hands on to those of its terms that have them."""
 
 
+NONE = "none"
+
+
 def with_sets_expanded(entries: Sequence[Sequence[str]]) -> list[list[str]]:
     """Return entries (key, options) in which the terms of a set stand for its name.
 
@@ -72,9 +75,6 @@ def _terms_of(key: str, options: Sequence[str]) -> list[list[str]]:
         [term, *(options if fades else ())]
         for term, fades in zip(NAMED_SETS[key], fading, strict=True)
     ]
-
-
-NONE = "none"
 
 
 def available_terms() -> dict[str, DriveTerm]:

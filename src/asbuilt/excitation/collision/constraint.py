@@ -25,6 +25,10 @@ SOFTNESS = 0.1
 """Distance beyond the clearance over which a body matters to a design [m]."""
 
 
+POSES_AT_ONCE = 4000
+"""Poses evaluated together, for memory."""
+
+
 class CollisionGuard(StateConstraint):
     """Keep every pair of bodies at least the clearance c apart.
 
@@ -286,10 +290,6 @@ def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
         )
         axes[:, k], origins[:, k] = frame[:, :3, 2], frame[:, :3, 3]
     return axes, origins
-
-
-POSES_AT_ONCE = 4000
-"""Poses evaluated together, for memory."""
 
 
 @dataclass(frozen=True)

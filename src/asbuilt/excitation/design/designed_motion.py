@@ -1,4 +1,4 @@
-"""Optimisation problem of a design: nodes, limits, criterion, prior information."""
+"""A designed motion, its information about the base parameters, and what was maximised."""
 
 from __future__ import annotations
 

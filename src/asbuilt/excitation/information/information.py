@@ -1,4 +1,4 @@
-"""Information of joint states about the base parameters, and its derivatives."""
+"""Information of joint states about the base parameters, its derivatives, and random states."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import read_only
+
+SCALING_STATES = 500
+"""Random states over which the units of the parameters are averaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,10 +258,6 @@ def mean_information(
             information.rows(q[part], qd[part], qdd[part], smooth=False), len(q[part])
         )
     return total / len(q)
-
-
-SCALING_STATES = 500
-"""Random states over which the units of the parameters are averaged."""
 
 
 def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:

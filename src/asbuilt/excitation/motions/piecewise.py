@@ -14,6 +14,11 @@ from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import QUANTITIES, TIME_TOLERANCE, Motion, read_only
 
+JOIN_TOLERANCE = 1e-9
+"""Largest jump of position and velocity between two motions that are joined, in rad, m and their
+rates.
+"""
+
 
 class PiecewisePolynomial(Motion):
     """Move along polynomials between `breaks` (m + 1,), which start at 0.
@@ -108,12 +113,6 @@ class PiecewisePolynomial(Motion):
             np.minimum.at(low[:, j], piece, values)
             np.maximum.at(high[:, j], piece, values)
         return low, high
-
-
-JOIN_TOLERANCE = 1e-9
-"""Largest jump of position and velocity between two motions that are joined, in rad, m and their
-rates.
-"""
 
 
 class Concatenated(Motion):

@@ -17,6 +17,11 @@ from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Paramet
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 from asbuilt.excitation.state_constraint import StateConstraint
 
+CHECK_RATE = 1000.0
+"""Rate of the grid on which a motion must keep its constraints [Hz]."""
+SLOWING, SLOWEST = 0.93, 0.1
+"""By what factor a move is slowed at a time, and at which share of its speed that is given up."""
+
 
 class PointToPointMotion(PiecewisePolynomial):
     """Move straight in joint space from pose to pose, all joints in step.
@@ -180,13 +185,6 @@ class PointToPoint(Parametrisation):
 
 
 PARAMETRISATIONS.register(PointToPoint.key, PointToPoint)
-
-
-CHECK_RATE = 1000.0
-"""Rate of the grid on which a motion must keep its constraints [Hz]."""
-
-SLOWING, SLOWEST = 0.93, 0.1
-"""By what factor a move is slowed at a time, and at which share of its speed that is given up."""
 
 
 def paced_moves(

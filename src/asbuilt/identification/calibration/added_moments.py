@@ -1,4 +1,4 @@
-"""Recordings under load reduced to rows of arm, payload and torque."""
+"""First moments of a weight on any link, where no motion determines its mass alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether delays of the torque predict other motions better, groups of blocks held out in turn."""
+"""Delay of the torque against position, from recordings with a plain weighted fit."""
 
 from __future__ import annotations
 
@@ -28,6 +28,9 @@ from asbuilt.identification.information.square_root_information import (
     accumulate_stream,
 )
 from asbuilt.identification.result.design_values import design_values
+
+Prepare = Callable[[Array], Sequence["Samples"]]
+"""Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
 
 
 def predicts_better(
@@ -138,9 +141,6 @@ class DelayRules:
 
 
 RULES = DelayRules()
-
-Prepare = Callable[[Array], Sequence["Samples"]]
-"""Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

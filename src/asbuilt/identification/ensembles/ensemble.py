@@ -1,4 +1,4 @@
-"""Physically consistent standard parameters for many draws of base parameters."""
+"""Draws of a robot from the joint uncertainty of its result, physically consistent."""
 
 from __future__ import annotations
 
@@ -31,6 +31,14 @@ FAITHFUL = 0.1
 its distance by which the robot next to an impossible draw may be farther."""
 AT_ONCE = 50
 """Draws that are fitted together, whoever does it, so that the numbers do not depend on that."""
+
+
+Seed = np.random.Generator | int | None
+QUANTILES = (0.05, 0.5, 0.95)
+"""Quantiles of the range of a parameter."""
+UNLIKE = 2.5
+"""Factor of the mass of a link from which a range is unlike CAD; own choice."""
+MOST = 100_000
 
 
 def consistent_draws(
@@ -111,14 +119,6 @@ def _factor(root: Array, beta: Array) -> Array:
     """Return the triangular factor of [R | R beta], shape (p + 1, p + 1)."""
     rows = np.column_stack([root, root @ beta])
     return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))
-
-
-Seed = np.random.Generator | int | None
-QUANTILES = (0.05, 0.5, 0.95)
-"""Quantiles of the range of a parameter."""
-UNLIKE = 2.5
-"""Factor of the mass of a link from which a range is unlike CAD; own choice."""
-MOST = 100_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,9 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.result import IdentificationResult
 
+TOO_MUCH = 0.4
+"""Bias in standard errors from which 95 % intervals hold less than 93 %."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OmittedBias:
@@ -75,10 +78,6 @@ def moved_estimate(information: SquareRootInformation, estimate: Estimate) -> Ar
     seen = (estimate.information or information).stacked(estimate.weights)[:-1, :-1]
     root = estimate.solution.inverse_root
     return np.asarray(root @ (seen @ root).T @ seen)
-
-
-TOO_MUCH = 0.4
-"""Bias in standard errors from which 95 % intervals hold less than 93 %."""
 
 
 def acceleration_noise(density: Array, band: float) -> Array:

@@ -1,4 +1,4 @@
-"""How standard errors were estimated, as data and as text."""
+"""What each time block adds to the error of an estimate, and how errors were estimated."""
 
 from __future__ import annotations
 
@@ -20,6 +20,14 @@ UNSTATED = "unstated"
 """Kind of errors in results without this information."""
 TELLING_GROWTH = 1.1
 """Ratio of block to textbook errors above which textbook errors are reported as too small."""
+
+
+FEWEST_DEGREES = 3.0
+"""Least degrees of freedom of a variance from time blocks."""
+COVERED = 0.975
+"""Upper quantile of the 95 % interval for which standard errors are widened."""
+MOST_GROUPS = 60
+"""Blocks whose errors are kept; of more, neighbours are added up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +98,6 @@ class ErrorBasis:
                 " large); TOO SMALL if residuals are correlated"
             )
         return f"so TOO SMALL: errors from time blocks are {self.growth:.2g} times as large"
-
-
-FEWEST_DEGREES = 3.0
-"""Least degrees of freedom of a variance from time blocks."""
-COVERED = 0.975
-"""Upper quantile of the 95 % interval for which standard errors are widened."""
-MOST_GROUPS = 60
-"""Blocks whose errors are kept; of more, neighbours are added up."""
 
 
 def _packed(matrix: Array) -> dict[str, object]:

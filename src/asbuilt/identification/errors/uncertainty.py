@@ -1,4 +1,4 @@
-"""Standard errors that allow for correlated residuals, from the scatter of time blocks."""
+"""Standard errors that allow for correlated residuals, from time blocks or recordings."""
 
 from __future__ import annotations
 
@@ -23,6 +23,10 @@ MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""
 FEWEST_BLOCKS = 8
 """Blocks below which their scatter gives no usable variance."""
+
+
+FEWEST_RECORDINGS = 4
+"""Recordings below which their scatter gives no usable variance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,10 +223,6 @@ def _degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     freedom = np.full(len(square), float(len(leverages) - 1))
     np.divide(trace**2, square, out=freedom, where=square > 0)
     return freedom
-
-
-FEWEST_RECORDINGS = 4
-"""Recordings below which their scatter gives no usable variance."""
 
 
 def recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:

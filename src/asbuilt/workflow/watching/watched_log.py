@@ -27,6 +27,11 @@ POINTS = 3000
 """Points of a trace, of each chunk of a log."""
 
 
+FORMAT = "asbuilt thresholds"
+LARGEST = 1_000_000
+"""Bytes of a file of thresholds; that of seven joints has 4 kB."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
     """Hold residual and threshold for drawing: in each bin the sample with the largest excess.
@@ -257,11 +262,6 @@ def duration(seconds: float) -> str:
     if seconds < 120.0:
         return f"{seconds:.3g} s"
     return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"
-
-
-FORMAT = "asbuilt thresholds"
-LARGEST = 1_000_000
-"""Bytes of a file of thresholds; that of seven joints has 4 kB."""
 
 
 def thresholds_text(thresholds: Thresholds) -> str:

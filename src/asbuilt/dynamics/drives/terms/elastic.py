@@ -8,6 +8,28 @@ from dataclasses import replace
 
 from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter, NonlinearValue, drive_term
 
+HIGHEST = 7
+"""Powers of position: the order of Wang et al. (RA-L 4, 2019) for the cable of a master arm."""
+LENGTH = "sqrt(inner*inner+outer*outer+axial*axial-2*inner*outer*cos(q+angle))"
+ARM = "inner*outer*sin(q+angle)"
+"""Distance of the ends, and its derivative by q times itself."""
+STRETCH = f"{ARM}*(1-length/{LENGTH})"
+"""Derivative by q of half the square of what the distance exceeds `length` by."""
+GEOMETRY = (
+    NonlinearParameter(
+        "inner", 0.01, 1e-4, 10.0, "m", fitted=False, of_geometry=True, typical=0.01
+    ),
+    NonlinearParameter("outer", 0.1, 1e-4, 10.0, "m", fitted=False, of_geometry=True, typical=0.1),
+    NonlinearParameter("angle", 0.0, -7.0, 7.0, "rad", fitted=False, of_geometry=True, typical=0.4),
+    NonlinearParameter(
+        "length", 0.05, 0.0, 10.0, "m", fitted=False, of_geometry=True, typical=0.06
+    ),
+    NonlinearParameter("axial", 0.0, 0.0, 10.0, "m", fitted=False),
+)
+"""Where the ends are about the joint axis, and the free length."""
+ELSEWHERE = (0.02, 0.15, 1.0, 0.1, 0.0)
+"""Another place than that of springs, since two terms of one geometry have common parts."""
+
 
 @drive_term
 class Balancer(DriveTerm):
@@ -54,8 +76,6 @@ class Spring(DriveTerm):
         return (found,)
 
 
-HIGHEST = 7
-"""Powers of position: the order of Wang et al. (RA-L 4, 2019) for the cable of a master arm."""
 CURVE = tuple(
     "*".join([f"minimum(maximum(order-{k - 1},0),1)", *[f"(q/{math.pi})"] * k])
     for k in range(1, HIGHEST + 1)
@@ -94,25 +114,6 @@ class Cable(DriveTerm):
         )
 
 
-LENGTH = "sqrt(inner*inner+outer*outer+axial*axial-2*inner*outer*cos(q+angle))"
-ARM = "inner*outer*sin(q+angle)"
-"""Distance of the ends, and its derivative by q times itself."""
-STRETCH = f"{ARM}*(1-length/{LENGTH})"
-"""Derivative by q of half the square of what the distance exceeds `length` by."""
-GEOMETRY = (
-    NonlinearParameter(
-        "inner", 0.01, 1e-4, 10.0, "m", fitted=False, of_geometry=True, typical=0.01
-    ),
-    NonlinearParameter("outer", 0.1, 1e-4, 10.0, "m", fitted=False, of_geometry=True, typical=0.1),
-    NonlinearParameter("angle", 0.0, -7.0, 7.0, "rad", fitted=False, of_geometry=True, typical=0.4),
-    NonlinearParameter(
-        "length", 0.05, 0.0, 10.0, "m", fitted=False, of_geometry=True, typical=0.06
-    ),
-    NonlinearParameter("axial", 0.0, 0.0, 10.0, "m", fitted=False),
-)
-"""Where the ends are about the joint axis, and the free length."""
-
-
 @drive_term
 class ExtensionSpring(DriveTerm):
     """Add `Ke (1 - length / l) inner outer sin(q + angle)`, l being the length of the spring.
@@ -140,10 +141,6 @@ class ExtensionSpring(DriveTerm):
     nonlinear = GEOMETRY
     by_construction = True
     ratio_powers = (2.0,)
-
-
-ELSEWHERE = (0.02, 0.15, 1.0, 0.1, 0.0)
-"""Another place than that of springs, since two terms of one geometry have common parts."""
 
 
 @drive_term

@@ -15,6 +15,10 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.workflow.fleet.ledger.entry import Entry
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 
+TILTS = 2
+UNDETERMINED = 1e-9
+"""Weight, in the mean information of a column, of what keeps an undetermined direction."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Day:
@@ -87,11 +91,6 @@ def _together(group: Sequence[Day]) -> Day:
         summed(group),
         means,
     )
-
-
-TILTS = 2
-UNDETERMINED = 1e-9
-"""Weight, in the mean information of a column, of what keeps an undetermined direction."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Effects by which a robot changes: friction and gain of a joint, payload, tilt, its links."""
+"""Effects by which a robot changes, and directions of a type that a day of motion determines."""
 
 from __future__ import annotations
 

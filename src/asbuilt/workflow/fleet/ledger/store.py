@@ -23,6 +23,14 @@ LONGEST_PATTERN = 250
 """Characters of a pattern that finds identities in paths."""
 
 
+EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gcs", "gcs": "gcs", "az": "azure", "abfs": "azure"}
+"""Extra that has the file system of a protocol."""
+READABLE = 0o644
+"""Mode of a file: what is in a ledger never changes."""
+LARGEST = 50_000_000
+"""Bytes of a file, packed or not; an entry of 30 joints has 4 MB, and 6 MB unpacked."""
+
+
 def checked_id(robot_id: str) -> str:
     """Return the identity of a robot.
 
@@ -94,14 +102,6 @@ def identity_in(pattern: str, path: str) -> str | None:
         elif part == letter:
             waiting.append((place + 1, at + 1, first, last))
     return None
-
-
-EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gcs", "gcs": "gcs", "az": "azure", "abfs": "azure"}
-"""Extra that has the file system of a protocol."""
-READABLE = 0o644
-"""Mode of a file: what is in a ledger never changes."""
-LARGEST = 50_000_000
-"""Bytes of a file, packed or not; an entry of 30 joints has 4 MB, and 6 MB unpacked."""
 
 
 class Store(Protocol):
