@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from asbuilt.dynamics.drives.presliding import presliding_column
 from asbuilt.errors import UsageError
+from asbuilt.identification.effects.families.presliding import presliding_column
 
 T = np.linspace(0.0, 4.0, 4001)
 

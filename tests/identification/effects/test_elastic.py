@@ -11,7 +11,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.drives.elastic_columns import elastic_columns as of_joint
+from asbuilt.identification.effects.families.elastic import elastic_columns as of_joint
 
 pin = pytest.importorskip("pinocchio")
 RATE = 1000.0
