@@ -297,11 +297,12 @@ def draw_ensemble(
 def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
     """Return a note on links whose mass in the draws (N, n_standard) is far from that of CAD."""
     masses = np.quantile(drawn[:, 9 : 10 * result.model.n_links : 10], QUANTILES, axis=0)
-    unlike = []
-    for link, (low, _, high) in zip(result.model.links, masses.T, strict=True):
-        cad = link.inertia.mass
-        if link.has_mass and (high > UNLIKE * cad or low < cad / UNLIKE):
-            unlike.append(f"{link.name} {low:.3g} to {high:.3g} kg, CAD {cad:.3g} kg")
+    cad = [link.inertia.mass for link in result.model.links]
+    unlike = [
+        f"{link.name} {low:.3g} to {high:.3g} kg, CAD {mass:.3g} kg"
+        for link, mass, (low, _, high) in zip(result.model.links, cad, masses.T, strict=True)
+        if link.has_mass and (high > UNLIKE * mass or low < mass / UNLIKE)
+    ]
     if not unlike:
         return []
     return [
