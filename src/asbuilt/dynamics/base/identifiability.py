@@ -158,13 +158,10 @@ def _closed_views(model: RobotModel) -> list[_LinkView]:
         in_root = row_space(np.concatenate([*(poses[:, k, :3, :3] @ twists[:, k, :3])], axis=1).T)
         turns, screws = len(directions), len(row_space(own))
         slope = _slope(model, in_root[0]) if len(in_root) == 1 else ""
-        if turns == 0:
-            phrase = f"link {k + 1} never turns"
-        elif turns == 1:
-            axes = f"{_a(slope)} axis" if screws == 1 and slope else "parallel axes"
-            phrase = f"link {k + 1} only turns about {axes}"
-        else:
-            phrase = f"link {k + 1} turns about axes of {'two' if turns == 2 else 'all'} directions"
+        axes = f"{_a(slope)} axis" if screws == 1 and slope else "parallel axes"
+        several = f"turns about axes of {'two' if turns == 2 else 'all'} directions"
+        ways = {0: "never turns", 1: f"only turns about {axes}"}
+        phrase = f"link {k + 1} {ways.get(turns, several)}"
         moves = bool(np.abs(own[:, 3:]).max(initial=0.0) > SMALL)
         axis = directions[0] if turns == 1 else np.zeros(3)
         views.append(_LinkView(k + 1, phrase, turns, screws, axis, moves))
@@ -220,7 +217,7 @@ def _slope(model: RobotModel, axis: Array) -> str:
 
 
 def _a(word: str) -> str:
-    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+    return f"an {word}" if word[:1] in set("aeiou") else f"a {word}"
 
 
 def _link_view(found: Regrouping, link: int) -> _LinkView:
@@ -233,30 +230,28 @@ def _link_view(found: Regrouping, link: int) -> _LinkView:
     chain = model.ancestors(link)
     turning = [i for i in chain if model.joints[i].is_revolute]
     name = f"link {link + 1}"
-    if not turning:
-        slides = row_space(np.array([_axis_at_rest(model, i) for i in chain]))
-        if len(slides) == 1:
-            phrase = f"{name} only slides along {_a(_slope(model, slides[0]))} line and never turns"
-        else:
-            phrase = (
-                f"{name} only slides, {'in a plane' if len(slides) == 2 else 'in all directions'},"
-                " and never turns"
-            )
-    elif len(directions) == 1:
-        slope = _slope(model, _axis_at_rest(model, turning[0]))
-        if len(twists) == 1:
-            phrase = f"{name} only turns about {_a(slope)} axis"
-        elif len(turning) < len(chain):
-            phrase = (
-                f"{name} slides, but turns only about {'parallel' if slope == 'fixed' else slope}"
-                " axes"
-            )
-        else:
-            phrase = (
-                f"{name} only turns about {'' if slope == 'fixed' else slope + ', '}parallel axes"
-            )
-    else:
-        phrase = f"{name} turns about axes of {'two' if len(directions) == 2 else 'all'} directions"
+    slides = row_space(np.array([_axis_at_rest(model, i) for i in chain]))
+    slope = _slope(model, _axis_at_rest(model, turning[0])) if turning else ""
+    fixed, parallel = slope == "fixed", len(directions) == 1
+    phrases = (
+        (
+            not turning and len(slides) == 1,
+            f"only slides along {_a(_slope(model, slides[0]))} line and never turns",
+        ),
+        (
+            not turning,
+            f"only slides, {'in a plane' if len(slides) == 2 else 'in all directions'},"
+            " and never turns",
+        ),
+        (parallel and len(twists) == 1, f"only turns about {_a(slope)} axis"),
+        (
+            parallel and len(turning) < len(chain),
+            f"slides, but turns only about {'parallel' if fixed else slope} axes",
+        ),
+        (parallel, f"only turns about {'' if fixed else slope + ', '}parallel axes"),
+        (True, f"turns about axes of {'two' if len(directions) == 2 else 'all'} directions"),
+    )
+    phrase = f"{name} {next(phrase for holds, phrase in phrases if holds)}"
     axis = directions[0] if len(directions) == 1 else np.zeros(3)
     return _LinkView(
         link + 1,
