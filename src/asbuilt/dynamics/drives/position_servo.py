@@ -105,14 +105,25 @@ class PositionServo:
             if name == "no_load_speed" and 0.0 in values:
                 raise UsageError("no_load_speed must be positive", lower=0.0)
             object.__setattr__(self, name, values)
-        if not np.all(np.isfinite(self.lead)):
-            raise UsageError(f"a lead must be a finite number of seconds, got {self.lead}")
-        if np.any(np.isfinite(self.goal_speed) & np.isinf(self.goal_acceleration)):
-            raise UsageError("a limit of the speed of the goal needs one of its acceleration")
-        if np.any(np.isfinite(self.no_load_speed) & np.isinf(self.torque_limit)):
-            raise UsageError("a no-load speed needs a torque limit, which falls to zero there")
-        if self.delay is not None and not np.isfinite(self.delay):
-            raise UsageError(f"the delay must be a finite number of seconds, got {self.delay}")
+        late = self.delay is not None and not np.isfinite(self.delay)
+        problems = (
+            (
+                not np.all(np.isfinite(self.lead)),
+                f"a lead must be a finite number of seconds, got {self.lead}",
+            ),
+            (
+                np.any(np.isfinite(self.goal_speed) & np.isinf(self.goal_acceleration)),
+                "a limit of the speed of the goal needs one of its acceleration",
+            ),
+            (
+                np.any(np.isfinite(self.no_load_speed) & np.isinf(self.torque_limit)),
+                "a no-load speed needs a torque limit, which falls to zero there",
+            ),
+            (late, f"the delay must be a finite number of seconds, got {self.delay}"),
+        )
+        for holds, problem in problems:
+            if holds:
+                raise UsageError(problem)
 
     @property
     def known(self) -> bool:

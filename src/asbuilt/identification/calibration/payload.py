@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import clarabel
@@ -278,7 +278,10 @@ def identify_payload_samples(
         for part in (noise + gains, noise, gains)
     )
     determined = _determined(values, errors)
-    payload = Payload(
+    added = np.zeros(10 * result.model.n_links)
+    added[10 * link : 10 * link + 10] = shift_matrix(placement) @ parameters
+    judged = list(validation) or batches
+    return Payload(
         robot=result.robot,
         frame=name,
         placement=placement,
@@ -303,13 +306,7 @@ def identify_payload_samples(
         arm=beta,
         n_samples=rows.n_samples,
         torque_source=source,
-        metrics=(),
-        metrics_bare=(),
-    )
-    judged = list(validation) or batches
-    return replace(
-        payload,
-        metrics=tuple(_metrics(result, samples, beta, payload) for samples in judged),
+        metrics=tuple(_metrics(result, samples, beta, added) for samples in judged),
         metrics_bare=tuple(_metrics(result, samples, result.estimates, None) for samples in judged),
     )
 
@@ -527,15 +524,9 @@ def _determined(values: Array, errors: Array) -> NDArray[np.bool_]:
 
 
 def _metrics(
-    result: IdentificationResult, samples: Samples, beta: Array, payload: Payload | None
+    result: IdentificationResult, samples: Samples, beta: Array, added: Array | None
 ) -> TorqueMetrics:
-    """Return the torque error of an arm (and what it carries) on a recording."""
-    added = None
-    if payload is not None:
-        added = np.zeros(10 * result.model.n_links)
-        added[10 * payload.link : 10 * payload.link + 10] = (
-            shift_matrix(payload.placement) @ payload.parameters
-        )
+    """Return the torque error of an arm (and of parameters added to its links) on a recording."""
     prediction = predict_torque(result.model, result.base, beta, samples, added=added)
     return torque_metrics(
         prediction.measured, prediction.predicted, samples.source, result.joint_names

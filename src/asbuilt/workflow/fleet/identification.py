@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -132,10 +133,7 @@ def identify_entries(
 
 def _log_findings(entries: Sequence[Entry]) -> list[Finding]:
     """Return a finding for each kind of warning of the logs, with their number."""
-    counts: dict[str, int] = {}
-    for entry in entries:
-        for code in entry.warnings:
-            counts[code] = counts.get(code, 0) + 1
+    counts = Counter(code for entry in entries for code in entry.warnings)
     return [
         Finding(
             code,

@@ -14,7 +14,6 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
 from asbuilt.experiment.logs.long_recordings import (
     HEAD,
-    RecordingStream,
     head_of,
 )
 from asbuilt.experiment.logs.options import ReadingOptions
@@ -22,7 +21,6 @@ from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.rows import LONGEST_BLOCK
@@ -148,7 +146,8 @@ def reduced_entry(
         If the recording cannot be read, does not fit the type, has errors or no date.
     """
     first = task.paths[0]
-    model, logged = _read(task, settings)
+    model, read = read_logs(settings.described, task.paths, task.reading)
+    logged = read[0]
     head = head_of(logged)
     _check_fits(first, model, head, settings)
     began, date_from = log_date(
@@ -159,7 +158,16 @@ def reduced_entry(
     prepared = prepare(settings.model, [logged], chain=settings.chain, checked=False)
     samples = prepared.training[0]
     tilts = ColumnsBeside.tilts(settings.model)
-    information = reduced_samples(settings, samples, tilts)
+    seconds = samples.duration / RULES.blocks
+    information = accumulate_stream(
+        settings.model,
+        settings.base,
+        (samples,),
+        block_seconds=seconds if seconds > LONGEST_BLOCK else None,
+        threads=1,
+        beside=tilts,
+    )
+    information = merged_blocks(information, 2 * RULES.blocks)
     entry = Entry(
         robot_id=task.robot_id,
         settings=settings,
@@ -175,28 +183,6 @@ def reduced_entry(
         tilt=tuple(tilts.products),
     )
     return entry, other_settings(task, settings, beginning)
-
-
-def _read(task: LogTask, settings: TypeSettings) -> tuple[RobotModel, Recording | RecordingStream]:
-    """Return the robot as it was recorded, and the recording."""
-    model, read = read_logs(settings.described, task.paths, task.reading)
-    return model, read[0]
-
-
-def reduced_samples(
-    settings: TypeSettings, samples: Samples, beside: ColumnsBeside | None = None
-) -> SquareRootInformation:
-    """Return the information of samples in at most some `RULES.blocks` blocks, by one thread."""
-    seconds = samples.duration / RULES.blocks
-    information = accumulate_stream(
-        settings.model,
-        settings.base,
-        (samples,),
-        block_seconds=seconds if seconds > LONGEST_BLOCK else None,
-        threads=1,
-        beside=beside,
-    )
-    return merged_blocks(information, 2 * RULES.blocks)
 
 
 def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tuple[Finding, ...]:
