@@ -278,7 +278,7 @@ def _simulate_free(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    from asbuilt.experiment.virtual.bodies import with_body
+    from asbuilt.experiment.virtual.presets import with_body
     from asbuilt.writers.recording_files import (
         free_motion_document,
         free_motion_text,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.cad.units import LENGTH
+from asbuilt.description.cad.table import LENGTH
 from asbuilt.description.formats.xml import close_match
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link, RobotModel

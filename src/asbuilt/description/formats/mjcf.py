@@ -14,9 +14,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import finite_number
-from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
-from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
-from asbuilt.description.formats.compiled_mjcf.loops import (
+from asbuilt.description.formats.compiled_mjcf import (
+    Actuators,
+    coupled_by_equalities,
     loops_by_equalities,
     with_passive_joints,
 )

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.quality.first_pass import FirstPass
+from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 from asbuilt.findings import Cure, Finding, joined
 

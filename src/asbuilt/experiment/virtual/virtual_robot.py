@@ -21,13 +21,21 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory, read_only
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.bodies import tilted_base, with_body
-from asbuilt.experiment.virtual.data_logger import DataLogger
-from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
-from asbuilt.experiment.virtual.joint_servo import JointServo
+from asbuilt.experiment.virtual.drive_train import (
+    DriveTrain,
+    JointServo,
+    PositionController,
+    TermDrives,
+)
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.experiment.virtual.presets import FULL_DRIVE, Engine, preset_parts
-from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, SensorNoise, per_joint
+from asbuilt.experiment.virtual.presets import (
+    FULL_DRIVE,
+    Engine,
+    preset_parts,
+    tilted_base,
+    with_body,
+)
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, DataLogger, SensorNoise, per_joint
 from asbuilt.experiment.virtual.tracking import TrackedMotion, track
 from asbuilt.findings import Cure
 

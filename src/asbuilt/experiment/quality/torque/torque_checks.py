@@ -9,13 +9,11 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.quality.first_pass import FirstPass
+from asbuilt.experiment.quality.passes import FirstPass
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
-from asbuilt.experiment.quality.torque.gravity_direction import gravity_finding
-from asbuilt.experiment.quality.torque.joint_convention import convention_finding
+from asbuilt.experiment.quality.torque.conventions import convention_finding, gravity_finding
 from asbuilt.experiment.quality.torque.stand_in import scale_without_masses
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment
-from asbuilt.experiment.quality.torque.torque_order import swapped_torques
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment, swapped_torques
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
 from asbuilt.findings import Cure, Finding, Severity, joined
 
