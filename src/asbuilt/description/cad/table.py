@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.cad.meshes import CadLink, unit_factor
+from asbuilt.description.cad.meshes import LENGTH, CadLink
 from asbuilt.description.finite import finite_number
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link
