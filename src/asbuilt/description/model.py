@@ -43,6 +43,7 @@ from asbuilt.description.structure.parts import (
     MassRange,
     Mimic,
     Symbols,
+    ancestors,
 )
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import joined
@@ -565,11 +566,7 @@ class RobotModel:
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the links from the root to that of `joint`, itself included, in order."""
-        chain: list[int] = []
-        while joint != ROOT:
-            chain.append(joint)
-            joint = self.parents[joint]
-        return tuple(reversed(chain))
+        return tuple(ancestors(self.moving_joints, joint))
 
     def with_parameters(self, parameters: ArrayLike) -> RobotModel:
         """Return the same robot with other standard inertial parameters, shape (10 n,).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,11 +11,10 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.cad.meshes import LENGTH, CadLink
-from asbuilt.description.finite import finite_number
+from asbuilt.description.finite import finite_number, read_rows
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link
 from asbuilt.errors import DescriptionError
-from asbuilt.untrusted import read_text
 
 MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237, "lbm": 0.45359237}
 _FACTOR = re.compile(r"([a-zA-Zµ]+)(?:\^?(-?\d+)|([²³]))?")
@@ -73,7 +71,8 @@ def read_cad_table(
             f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and"
             " products='tensor' or 'integral'"
         )
-    lines, decimal_point = _cells(path)
+    lines, separator = read_rows(path, ";\t,", "part")
+    decimal_point = "," if separator == "," else "."  # which a comma in a number stands for
     columns, factors = _columns(path, lines[0][1], mass_unit, length_unit)
     parts: dict[str, list[tuple[str, LinkInertia]]] = {}
     warnings: dict[str, list[str]] = {}
@@ -134,26 +133,6 @@ def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkIner
         if about == "com"
         else LinkInertia.from_origin(mass, mass * com, tensor)
     )
-
-
-def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
-    """Return the numbered lines, and what a comma in a number stands for.
-
-    A decimal point, unless commas separate the cells.
-    """
-    text = read_text(path, "table", DescriptionError)
-    try:
-        header = text.partition("\n")[0]
-        separator = max(";\t,", key=header.count)
-        reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
-        lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
-    if len(lines) < 2:
-        raise DescriptionError(
-            f"{path}: the table has no rows; expected a header and one row per part"
-        )
-    return lines, "," if separator == "," else "."
 
 
 def _columns(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
@@ -18,6 +19,19 @@ from asbuilt.description.rotation import (
     placement,
     rotation_from_quaternion,
 )
+from asbuilt.description.structure.parts import ancestors
+
+
+@contextmanager
+def collected_warnings(mujoco: ModuleType) -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
+    warnings: list[str] = []
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(warnings.append)
+    try:
+        yield warnings
+    finally:
+        mujoco.set_mju_user_warning(previous)
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,23 +314,16 @@ def with_passive_joints(
     inside = set[int]()
     for loop in loops:
         if loop.kind == "joint":
-            names = [joint.name for joint in joints]
-            inside |= {names.index(name) for name in loop.joints[:1]}
+            inside |= {k for k, joint in enumerate(joints) if joint.name == loop.joints[0]}
             continue
-        sides = [_above(joints, links, link) for link, _ in loop.ends]
-        inside |= sides[0] ^ sides[1]
+        one, other = (
+            {*ancestors(joints, links.index(link) if link in links else ROOT)}
+            for link, _ in loop.ends
+        )
+        inside |= one ^ other
     return [
         replace(joint, mimic=Mimic({}))
         if k in inside and k not in driven and joint.mimic is None
         else joint
         for k, joint in enumerate(joints)
     ]
-
-
-def _above(joints: Sequence[Joint], links: Sequence[str], link: str) -> set[int]:
-    """Return the joints between the root and a link."""
-    at, found = links.index(link) if link in links else ROOT, set[int]()
-    while at != ROOT:
-        found.add(at)
-        at = joints[at].parent
-    return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.finite import finite_number
+from asbuilt.description.finite import finite_number, read_rows
 from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import NO_SYMBOLS, added_symbols, named, rotated_symbols
@@ -31,7 +30,6 @@ from asbuilt.description.model import (
 )
 from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z, straightened
 from asbuilt.errors import DescriptionError
-from asbuilt.untrusted import read_text
 
 Convention = Literal["standard", "modified"]
 
@@ -222,16 +220,7 @@ def read_dh_table(path: str | Path) -> RobotModel:
     `DescriptionError` with line and column.
     """
     path = Path(path)
-    text = read_text(path, "table", DescriptionError)
-    try:
-        reader = csv.reader(text.splitlines(), skipinitialspace=True)
-        lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
-    if len(lines) < 2:
-        raise DescriptionError(
-            f"{path}: the table has no rows; expected a header and one row per link"
-        )
+    lines, _ = read_rows(path, ",", "link")
     columns = [name.strip() for name in lines[0][1]]
     _check_columns(path, columns)
     rows, table_notes = [], []

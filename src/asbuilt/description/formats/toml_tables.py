@@ -19,7 +19,7 @@ from pydantic import (
 from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind
+from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind, JointLimits
 from asbuilt.description.rotation import rotation_fault
 from asbuilt.errors import DescriptionError
 from asbuilt.registry import did_you_mean, known_fields
@@ -202,6 +202,11 @@ class LimitsTable(_Table):
                 " beyond all positions"
             )
         return self
+
+    def in_si(self, scale: float) -> JointLimits:
+        """Return the limits as the robot model keeps them, for positions in units of `scale`."""
+        given = {name: value * scale for name, value in self.model_dump().items()}
+        return JointLimits(**given | {"torque": self.torque})
 
 
 class DriveTable(_Table):
@@ -456,6 +461,11 @@ class RobotFile(_Table):
     springs: tuple[SpringTable, ...] = ()
     passive: tuple[str, ...] = ()
     posture: dict[str, Finite] = {}
+
+    @property
+    def angle(self) -> float:
+        """Radians per angle unit of the file."""
+        return math.pi / 180.0 if self.angle_unit == "deg" else 1.0
 
     @model_validator(mode="after")
     def _convention_stated(self) -> RobotFile:

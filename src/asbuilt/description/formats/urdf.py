@@ -53,10 +53,8 @@ AXIS_TOLERANCE = 1e-6
 """An axis whose length differs from 1 by more is scaled to unit length with a note."""
 
 
-@dataclass(frozen=True)
-class _Body:
-    name: str
-    inertia: LinkInertia | None
+_Bodies = dict[str, LinkInertia | None]
+"""The inertia of each link of the file by name, None where it gives none."""
 
 
 @dataclass(frozen=True)
@@ -126,22 +124,10 @@ def read_urdf(
             " identify"
         )
     _check_mimics(tree.joints, connections, source, notes)
-    links = []
-    for name, parts in zip(tree.links, tree.parts, strict=True):
-        total = (
-            LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
-            if parts
-            else LinkInertia.zero()
-        )
-        merged = len(parts) > 1 or any(part != name for part, _ in parts)
-        links.append(
-            Link(
-                name=name,
-                inertia=total,
-                inertia_known=bool(parts),
-                parts=tuple(parts) if merged else (),
-            )
-        )
+    links = [
+        Link.of_parts(name, parts, known=bool(parts))
+        for name, parts in zip(tree.links, tree.parts, strict=True)
+    ]
     return RobotModel(
         drives_by_design=False,
         name=(root.get("name") or "robot").strip(),
@@ -175,8 +161,8 @@ def _origin(element: Element, place: str, notes: list[str], straighten: bool) ->
     return placement(rotation_from_rpy(rpy), xyz)
 
 
-def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> dict[str, _Body]:
-    bodies: dict[str, _Body] = {}
+def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> _Bodies:
+    bodies: _Bodies = {}
     for i, element in enumerate(root.findall("link")):
         name = required(element, "name", f"{source}, link number {i + 1}")
         if name in bodies:
@@ -185,9 +171,7 @@ def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> d
             )
         place = f"{source}, link {name!r}"
         inertial = _only(element, "inertial", place, notes)
-        bodies[name] = _Body(
-            name, _inertia(inertial, place, notes, straighten) if inertial is not None else None
-        )
+        bodies[name] = None if inertial is None else _inertia(inertial, place, notes, straighten)
     if not bodies:
         raise DescriptionError(f"{source}: the URDF has no <link>")
     return bodies
@@ -211,7 +195,7 @@ def _inertia(inertial: Element, place: str, notes: list[str], straighten: bool) 
 
 
 def _connections(
-    root: Element, bodies: dict[str, _Body], source: str, notes: list[str], straighten: bool
+    root: Element, bodies: _Bodies, source: str, notes: list[str], straighten: bool
 ) -> list[_Connection]:
     connections: list[_Connection] = []
     names: set[str] = set()
@@ -266,7 +250,7 @@ def _connections(
     return connections
 
 
-def _end(element: Element, end: str, bodies: dict[str, _Body], place: str) -> str:
+def _end(element: Element, end: str, bodies: _Bodies, place: str) -> str:
     found = element.find(end)
     if found is None:
         raise DescriptionError(f"{place}: <{end} link=...> is missing")
@@ -278,7 +262,7 @@ def _end(element: Element, end: str, bodies: dict[str, _Body], place: str) -> st
     return name
 
 
-def _root_link(bodies: dict[str, _Body], connections: list[_Connection], source: str) -> str:
+def _root_link(bodies: _Bodies, connections: list[_Connection], source: str) -> str:
     children = {connection.child for connection in connections}
     tops = [name for name in bodies if name not in children]
     if not tops:
@@ -297,7 +281,7 @@ def _root_link(bodies: dict[str, _Body], connections: list[_Connection], source:
 
 def _merged(
     top: str,
-    bodies: dict[str, _Body],
+    bodies: _Bodies,
     connections: list[_Connection],
     source: str,
     notes: list[str],
@@ -311,18 +295,18 @@ def _merged(
     while waiting:
         connection, carrier, parent_pose = waiting.pop()
         pose = composed(parent_pose, connection.origin)
-        body = bodies[connection.child]
-        reached.add(body.name)
+        name, inertia = connection.child, bodies[connection.child]
+        reached.add(name)
         if connection.kind == "fixed":
-            tree.frames.append(Frame(name=body.name, link=carrier, placement=pose))
-            if carrier != ROOT and body.inertia is not None:
-                tree.parts[carrier].append((body.name, body.inertia.moved(pose)))
+            tree.frames.append(Frame(name=name, link=carrier, placement=pose))
+            if carrier != ROOT and inertia is not None:
+                tree.parts[carrier].append((name, inertia.moved(pose)))
         else:
             tree.joints.append(_joint(connection, carrier, pose, notes))
-            tree.links.append(body.name)
-            tree.parts.append([(body.name, body.inertia)] if body.inertia is not None else [])
+            tree.links.append(name)
+            tree.parts.append([(name, inertia)] if inertia is not None else [])
             carrier, pose = len(tree.joints) - 1, np.eye(4)
-        waiting.extend((after, carrier, pose) for after in reversed(below.get(body.name, [])))
+        waiting.extend((after, carrier, pose) for after in reversed(below.get(name, [])))
     if len(reached) < len(bodies):
         lost = next(name for name in bodies if name not in reached)
         raise DescriptionError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.rotation import rotation_fault
-from asbuilt.description.structure.parts import ROOT, Frame, Joint
+from asbuilt.description.structure.parts import ROOT, Frame, Joint, ancestors
 from asbuilt.errors import DescriptionError
 
 LoopKind = Literal["connect", "weld", "joint"]
@@ -146,7 +146,7 @@ def loop_numbers(
             if name not in links:
                 at, pose = named[name].link, named[name].placement
             row[POINT + 3 * side : POINT + 3 * side + 3] = pose[:3, :3] @ point + pose[:3, 3]
-            sides.append(_ancestors(tree, at))
+            sides.append(ancestors(tree, at))
             turns.append(pose[:3, :3])
         row[TURN : TURN + 9] = (turns[0] @ loop.rotation @ turns[1].T).ravel()
         shared = sum(1 for a, b in zip(*sides, strict=False) if a == b)
@@ -167,14 +167,6 @@ def loop_numbers(
     for each in (kinds, array, numbers):
         each.setflags(write=False)
     return LoopNumbers(kinds, array, numbers)
-
-
-def _ancestors(tree: Sequence[Joint], link: int) -> list[int]:
-    chain: list[int] = []
-    while link != ROOT:
-        chain.append(link)
-        link = tree[link].parent
-    return chain[::-1]
 
 
 def _size(tree: Sequence[Joint], ways: tuple[list[int], list[int]], row: Array) -> float:
