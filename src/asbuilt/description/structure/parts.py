@@ -223,7 +223,9 @@ class Link:
 
         A link without parts has an inertia of zero, which is `known` or not given.
         """
-        total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts] or [[0.0] * 10], 0))
+        total = LinkInertia(
+            np.sum([inertia.parameters for _, inertia in parts] or [np.zeros(10)], 0)
+        )
         merged = [part for part, _ in parts] not in ([], [name])
         return cls(name, total, inertia_known=known, parts=tuple(parts) if merged else ())
 

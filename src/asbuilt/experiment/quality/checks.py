@@ -263,7 +263,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         beginning = as_modelled(model, credible(first_of(recording, MEASURED)))
-        beginning = beginning.with_torque_of(known.has_torque)
+        beginning = beginning.with_torque_of(known.first.has_torque)
         of_commands = list(command_findings(model, beginning))
         of_loops = list(closure_findings(model, beginning))
         findings += of_loops
@@ -283,7 +283,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += encoder_findings(model, beginning)
         findings += coupling_findings(model, beginning) if follows else ()
     findings += lock_findings(model.locked_joints, model.held_followers, model.assumed_carriers)
-    findings += map(_of_note, known.notes)
+    findings += map(_of_note, known.first.notes)
     return RecordingCheck(
         robot=model.name,
         source=recording.source,

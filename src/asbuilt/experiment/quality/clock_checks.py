@@ -104,7 +104,7 @@ def _not_finite(recording: FirstPass) -> Iterator[Finding]:
     together: dict[bytes, list[Missing]] = {}
     for column in recording.missing:
         together.setdefault(column.rows.tobytes(), []).append(column)
-    names = recording.joint_names
+    names = recording.first.joint_names
     for columns in together.values():
         rows, value = columns[0].rows, columns[0].first
         kind = (

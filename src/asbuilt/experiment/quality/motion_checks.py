@@ -297,7 +297,7 @@ def _correlated(recording: FirstPass) -> Iterator[Finding]:
     group = max((np.flatnonzero(row > IN_STEP) for row in correlation), key=len)
     if len(group) < 3:
         return
-    names = [recording.joint_names[moving[k]] for k in group]
+    names = [recording.first.joint_names[moving[k]] for k in group]
     least = float(np.min(correlation[np.ix_(group, group)]))
     everyone = len(group) == recording.n_joints
     yield Finding(

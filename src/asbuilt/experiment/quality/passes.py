@@ -11,7 +11,7 @@ from asbuilt.arrays import Array, Indices, Mask, any_of
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.running_statistics import Exceedance, Extremes, PositionMoments
-from asbuilt.experiment.recording import Recording, TorqueSource, median_rate, time_span
+from asbuilt.experiment.recording import Recording, median_rate, time_span
 from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure
 
@@ -42,10 +42,8 @@ class FirstPass:
 
     Parameters
     ----------
-    first_torque
-        Torque of each joint in the first sample as logged, shape (n,).
-    stiffness_unknown
-        Whether the torques are control errors of a servo whose stiffness is to be identified.
+    first
+        The first chunk as logged, its joints in the order of the model.
     t
         Times [s], shape (N,).
     not_repeated
@@ -62,19 +60,12 @@ class FirstPass:
         Moments of the positions.
     spikes
         Single torques that stand out from their neighbours.
-    has_torque
-        Which joints have a usable torque channel, shape (n,).
     outside_limits, saturated
         Positions outside the limits of the model, and torques that reach theirs.
     """
 
-    source: str
-    joint_names: tuple[str, ...]
-    torque_source: TorqueSource
-    notes: tuple[str, ...]
+    first: Recording
     n_chunks: int
-    first_torque: Array
-    stiffness_unknown: bool
     t: Array
     not_repeated: Mask
     valid_torque: Mask
@@ -85,7 +76,6 @@ class FirstPass:
     outside_limits: Exceedance
     torque_range: Extremes
     saturated: Exceedance
-    has_torque: Mask
     spikes: tuple[Spikes, ...] = ()
 
     @property
@@ -96,7 +86,7 @@ class FirstPass:
     @property
     def n_joints(self) -> int:
         """Number of joints."""
-        return len(self.joint_names)
+        return self.first.n_joints
 
     @property
     def rate(self) -> float:
@@ -126,16 +116,13 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
     first = last = None
     begin = 0
-    has_torque, first_torque = np.ones(n, dtype=np.bool_), np.zeros(n)
     for logged in chunks:
         chunk = as_modelled(model, logged)
-        if first is None:
-            has_torque, first_torque = chunk.has_torque, chunk.tau[0]
-        chunk = chunk.with_torque_of(has_torque)
+        first = first or chunk
+        chunk = chunk.with_torque_of(first.has_torque)
         not_repeated = _not_repeated(chunk, last)
         missing += _missing(chunk, begin)
         last, chunk = chunk, credible(chunk)
-        first = first or chunk
         q, tau = chunk.q, chunk.tau
         valid_torque = np.isfinite(chunk.t) & ~any_of(~np.isfinite(tau))
         valid = valid_torque & ~any_of(~np.isfinite(q))
@@ -159,13 +146,8 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         raise RecordingError("the recording holds no samples")
     not_repeated, valid_torque, valid = np.concatenate(flags, axis=1)
     return FirstPass(
-        source=first.source,
-        joint_names=first.joint_names,
-        torque_source=first.torque_source,
-        notes=first.notes,
+        first=first,
         n_chunks=len(times),
-        first_torque=first_torque,
-        stiffness_unknown=first.servo is not None and bool(np.any(np.isnan(first.servo.kp))),
         t=np.concatenate(times),
         not_repeated=not_repeated,
         valid_torque=valid_torque,
@@ -176,7 +158,6 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         outside_limits=outside,
         torque_range=torques,
         saturated=saturated,
-        has_torque=has_torque,
         spikes=tuple(spikes),
     )
 
@@ -339,7 +320,7 @@ def second_pass(
     torques: list[Array] = []
     begin = place = 0
     for logged in chunks:
-        chunk = credible(as_modelled(model, logged).with_torque_of(known.has_torque))
+        chunk = credible(as_modelled(model, logged).with_torque_of(known.first.has_torque))
         stop = begin + chunk.n_samples
         changed = chunk.tau[known.not_repeated[begin:stop]]
         plateaus = [

@@ -151,13 +151,7 @@ def _exact(model: RobotModel, rng: np.random.Generator) -> Parts:
 def _typical(model: RobotModel, rng: np.random.Generator) -> Parts:
     n = model.n_joints
     torque, inertia = torque_and_inertia(model, rng)
-    spread = rng.uniform(0.5, 1.5, size=(4, n))
-    signs = rng.choice([-1.0, 1.0], size=n)
-    speed = MotionBounds.assumed(model).velocity
-    values = (
-        np.stack([0.15 * inertia, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
-        * spread
-    )
+    values = _usual_drives(model, rng, 0.15 * inertia, torque)
     sensors = SensorNoise(
         encoder_counts=tuple(2.0**16 if joint.is_revolute else 1e5 for joint in model.joints),
         torque_noise=_numbers(1e-3 * torque),
@@ -306,19 +300,26 @@ PRESETS: Mapping[str, Mapping[str, Preset]] = {
 def _drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
     """Return drives of the usual size for the torque range of each joint.
 
-    A rotor that the whole range accelerates by 200 rad/s^2 (or 200 m/s^2); 1.5 % viscous friction
-    at top speed, 2 % Coulomb, 0.5 % offset.
+    A rotor that the whole range accelerates by 200 rad/s^2 (or 200 m/s^2), and the usual friction.
     """
     torque, _ = torque_and_inertia(model, rng)
-    spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))
-    signs = rng.choice([-1.0, 1.0], size=model.n_joints)
-    speed = MotionBounds.assumed(model).velocity
-    values = (
-        np.stack([0.005 * torque, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
-        * spread
-    )
+    values = _usual_drives(model, rng, 0.005 * torque, torque)
     armature, viscous, coulomb, offset = (_numbers(row) for row in values)
     return DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
+
+
+def _usual_drives(
+    model: RobotModel, rng: np.random.Generator, armature: Array, torque: Array
+) -> Array:
+    """Return armature, viscous and Coulomb friction and offset of each joint (4, n), half off.
+
+    Of the torque range (n,) friction is 1.5 % viscous at top speed and 2 % Coulomb, the offset
+    0.5 %.
+    """
+    spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))
+    signs = rng.choice([-1.0, 1.0], size=model.n_joints)
+    viscous = 0.015 * torque / MotionBounds.assumed(model).velocity
+    return np.stack([armature, viscous, 0.02 * torque, 0.005 * torque * signs]) * spread
 
 
 def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tuple[DriveSet, Array]:

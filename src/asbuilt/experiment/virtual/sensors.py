@@ -148,18 +148,6 @@ def _rounded(values: Array, step: Array) -> Array:
     return np.where(step > 0, np.round(values / safe) * safe, values)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LoggedColumns:
-    """Hold the columns of a log, each (N, n) but `t` (N,); None if not logged."""
-
-    t: Array
-    q: Array
-    tau: Array
-    q_command: Array
-    qd: Array | None
-    qdd: Array | None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataLogger:
     """Describe a logger.
@@ -217,8 +205,11 @@ class DataLogger:
         tau: Array,
         command: Array,
         rng: np.random.Generator,
-    ) -> LoggedColumns:
-        """Return the log of a motion and its torque (N, n), sampled at a multiple of the rate."""
+    ) -> dict[str, Array]:
+        """Return the log of a motion and its torque (N, n), sampled at a multiple of the rate.
+
+        Its columns are `t` (N,), `q`, `tau`, `q_command` and, if logged, `qd` and `qdd` (N, n).
+        """
         every = round(1.0 / self.rate / (truth.t[1] - truth.t[0]))
         pick = slice(None, None, every)
         seen = Trajectory(truth.t[pick], truth.q[pick], truth.qd[pick], truth.qdd[pick])
@@ -229,16 +220,13 @@ class DataLogger:
                 self.clock_jitter * rng.standard_normal(t.size), -0.45 / self.rate, 0.45 / self.rate
             )
             t = t + slips - slips[0]
-        perfect = sensors == PERFECT_SENSORS and self.accelerations
-        columns = LoggedColumns(
-            t=t,
-            q=q,
-            tau=torque,
-            q_command=command[pick],
-            qd=seen.qd if perfect else qd,
-            qdd=seen.qdd if perfect else None,
-        )
-        return columns if not self.dropped else _without(columns, self._kept(t.size, rng))
+        columns = {"t": t, "q": q, "tau": torque, "q_command": command[pick]}
+        if sensors == PERFECT_SENSORS and self.accelerations:
+            columns |= {"qd": seen.qd, "qdd": seen.qdd}
+        elif qd is not None:
+            columns["qd"] = qd
+        kept = self._kept(t.size, rng) if self.dropped else slice(None)
+        return {name: values[kept] for name, values in columns.items()}
 
     def _kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Return which samples are kept; bursts start at random and have geometric lengths."""
@@ -248,10 +236,3 @@ class DataLogger:
             keep[start : start + length] = False
         keep[[0, -1]] = True
         return keep
-
-
-def _without(columns: LoggedColumns, keep: NDArray[np.bool_]) -> LoggedColumns:
-    qd, qdd = (None if values is None else values[keep] for values in (columns.qd, columns.qdd))
-    return LoggedColumns(
-        columns.t[keep], columns.q[keep], columns.tau[keep], columns.q_command[keep], qd, qdd
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -365,21 +365,18 @@ class VirtualRobot:
         seen, torque, command, note = move(motion, rng, progress)
         logged = self.logger.logged(model, self.sensors, seen, torque, command, generator)
         engine = "" if exact else f", {self.name}"
+        commanded = logged.pop("q_command")
         recording = Recording(
-            t=logged.t,
-            q=logged.q,
-            tau=logged.tau,
-            qd=logged.qd,
-            qdd=logged.qdd,
+            **cast(Any, logged),
             joint_names=model.joint_names,
             source=f"{'simulation of' if exact else 'virtual robot'} {model.name}{engine}",
             torque_source=self.torque_source,
             notes=(note,),
-            extra={} if exact else {"q_command": logged.q_command},
+            extra={} if exact else {"q_command": commanded},
         )
         if isinstance(self.controller, JointServo):
             recording = driven_by_command(
-                replace(recording, tau=np.zeros(logged.q.shape), command=logged.q_command),
+                replace(recording, tau=np.zeros(commanded.shape), command=commanded),
                 self.controller.law(model),
             )
         names = parameter_names(model, self.drive)

@@ -95,18 +95,8 @@ def find_layout(
     """
     sheet = sheet or RecordingSheet()
     groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})}, sheet)
-    for quantity in _QUANTITIES:
-        listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
-        if listed is not None:
-            groups[quantity, ""] = _listed(source, names, order, quantity, listed, sheet)
-    for side, columns in (
-        ("motor", sheet.columns.motor_position),
-        ("link", sheet.columns.link_position),
-    ):
-        if columns is not None:
-            groups["position", side] = _listed(source, names, order, "position", columns, sheet)
-    for key, columns in sheet.columns.extra.items():
-        groups[key, "sheet"] = _listed(source, names, order, key, columns, sheet)
+    for (quantity, kind), listed in sheet.columns.by_group.items():
+        groups[quantity, kind] = _listed(source, names, order, quantity, listed, sheet)
     position = groups.get(("position", ""))
     torque, torque_source = _torque_group(groups)
     notes: list[str] = []

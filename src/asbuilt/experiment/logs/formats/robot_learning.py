@@ -15,7 +15,12 @@ from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
-from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogTable,
+    table_of_joints,
+)
 from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
 from asbuilt.findings import Cure
 from asbuilt.untrusted import check_regular, parsed_json, reason, shortened
@@ -45,29 +50,24 @@ def read_lerobot(path: Path) -> LogTable:
         raise RecordingError(
             f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
         )
-    columns: dict[str, Array] = {"time": _times(path, frame, info)}
-    known: dict[str, tuple[str, str]] = {}
-    left_out: list[str] = []
-    for field in (each for each in (STATE, ACTION) if each in frame):
+    groups, left_out = list[tuple[str, str, Sequence[str], Array]](), list[str]()
+    for field, quantity in ((STATE, "position"), (ACTION, "command")):
+        if field not in frame:
+            continue
         cells = _lists(path, field, frame[field])
         names = _names(path, info, field, cells)
         values = _matrix(path, field, cells, len(names))
-        quantity = "position" if field == STATE else "command"
-        for k, name in enumerate(names):
-            if name.endswith(OTHERS):
-                left_out.append(f"{field} {name}")
-                continue
-            joint = name.removesuffix(".pos").removeprefix("main_")
-            column = f"{joint}/{quantity}"
-            columns[column] = np.ascontiguousarray(values[:, k])
-            known[column] = (quantity, joint)
+        kept = [k for k, name in enumerate(names) if not name.endswith(OTHERS)]
+        joints = [names[k].removesuffix(".pos").removeprefix("main_") for k in kept]
+        left_out += [f"{field} {name}" for name in names if name.endswith(OTHERS)]
+        groups.append((quantity, quantity, joints, values[:, kept]))
     notes = [
         "LeRobot datasets do not say their unit, degrees or -100 to 100 of the calibrated range:"
         " it was taken from the recording sheet"
     ]
     if left_out:
         notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
-    return LogTable(source=str(path), columns=columns, known=known, notes=tuple(notes))
+    return table_of_joints(str(path), _times(path, frame, info), groups, notes)
 
 
 def is_lerobot(path: Path) -> bool:
@@ -234,17 +234,11 @@ def read_sage(path: Path) -> LogTable:
     sent, commands = _listed_cells(path / COMMANDS, ("positions",), len(names))
     last = np.searchsorted(sent, t, side="right") - 1
     before = int(np.count_nonzero(last < 0))
-    columns: dict[str, Array] = {"time": t * MICROSECOND}
-    known: dict[str, tuple[str, str]] = {}
     groups = {QUANTITIES[field]: values for field, values in states.items()}
     groups["command"] = commands["positions"][np.maximum(last, 0)]
-    for quantity, values in groups.items():
-        for k, name in enumerate(names):
-            column = f"{name}/{quantity}"
-            columns[column] = np.ascontiguousarray(values[:, k])
-            known[column] = (quantity, name)
+    listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
     notes = (f"{before} states before the first command count as commanded like it",)
-    return LogTable(source=str(path), columns=columns, known=known, notes=notes if before else ())
+    return table_of_joints(str(path), t * MICROSECOND, listed, notes if before else ())
 
 
 def is_sage(path: Path) -> bool:

@@ -69,8 +69,7 @@ class Conventions:
     @cached_property
     def cost(self) -> float:
         """Misfit of the torques; a changed joint, and one beyond its limits, must be worth it."""
-        surplus = len(self.changed) + _joints_beyond(self.fit)
-        return self.fit.cost + THRESHOLDS.fall * surplus
+        return self.fit.cost + THRESHOLDS.fall * (len(self.changed) + _joints_beyond(self.fit))
 
     @property
     def key(self) -> tuple[bytes, ...]:
@@ -111,7 +110,7 @@ def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     falls decisively, and positions keep their limits. Small errors of a zero are those of
     `asbuilt.identification.effects`.
     """
-    if not _doubtful(fit):
+    if not np.any(np.abs(fit.correlation[fit.decides]) < THRESHOLDS.doubtful):
         return None
     logged = best = Conventions.as_logged(fit)
     front, near = [logged], []
@@ -123,9 +122,12 @@ def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
         best = front[0]
         limit = best.cost + THRESHOLDS.near
         near = [each for each in front[1:] if each.cost < limit]
-    if best is logged or not _explained(fit, best.fit):
+    fallen = _fallen(fit, best.fit)
+    if best is logged or not fallen.size:
         return None
-    before, after = (_mean_correlation(each, _fallen(fit, best.fit)) for each in (fit, best.fit))
+    before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
+    if after <= THRESHOLDS.clear:
+        return None
     others = " or ".join(_text(each, each.changed) for each in near)
     return (
         Finding(
@@ -150,23 +152,10 @@ def _joints_beyond(fit: TorqueFit) -> int:
     return int(np.count_nonzero(np.min(shares, axis=0) > THRESHOLDS.beyond))
 
 
-def _doubtful(fit: TorqueFit) -> bool:
-    return bool(np.any(np.abs(fit.correlation[fit.decides]) < THRESHOLDS.doubtful))
-
-
 def _fallen(before: TorqueFit, after: TorqueFit) -> Indices:
     """Return the joints (k,) whose misfit has fallen to less than half."""
     least = [np.minimum(each.misfit(1), each.misfit(-1)) for each in (before, after)]
     return np.flatnonzero(after.decides & (least[1] < 0.5 * least[0]))
-
-
-def _mean_correlation(fit: TorqueFit, joints: Indices) -> float:
-    return float(np.mean(np.abs(fit.correlation[joints])))
-
-
-def _explained(before: TorqueFit, after: TorqueFit) -> bool:
-    fallen = _fallen(before, after)
-    return fallen.size > 0 and _mean_correlation(after, fallen) > THRESHOLDS.clear
 
 
 def _text(conventions: Conventions, joints: Sequence[int]) -> str:

@@ -23,10 +23,10 @@ from asbuilt.findings import Cure, Finding, joined
 
 def missing_channel_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]:
     """Name joints without a usable torque channel, unless there is none at all."""
-    if not recording.has_torque.any():
+    if not recording.first.has_torque.any():
         return
-    for k in np.flatnonzero(~recording.has_torque).tolist():
-        joint, value = model.joints[k], float(recording.first_torque[k])
+    for k in np.flatnonzero(~recording.first.has_torque).tolist():
+        joint, value = model.joints[k], float(recording.first.tau[0, k])
         moved = float(recording.position_range.high[k] - recording.position_range.low[k])
         torque, angle = ("N m", "rad") if joint.is_revolute else ("N", "m")
         what = (
@@ -76,7 +76,7 @@ def saturation_findings(
         limit, over = joint.limits.torque, int(recording.saturated.count[k])
         if (
             not closer.plateaus[k]
-            or recording.torque_source == "current"
+            or recording.first.torque_source == "current"
             or not np.isfinite(limit)
             or limit <= 0
         ):

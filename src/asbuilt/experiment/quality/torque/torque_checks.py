@@ -71,7 +71,7 @@ def torque_findings(
             "no_torque",
             "error",
             "the torques are constant: that of the first joint is"
-            f" {recording.first_torque[0]:.4g} in {recording.n_samples} samples",
+            f" {recording.first.tau[0, 0]:.4g} in {recording.n_samples} samples",
             Cure("log the measured joint torques or motor currents"),
         )
         return
@@ -222,7 +222,7 @@ def _sign_and_scale(
             "error",
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
-            _signs_cure(model, sign, alone) if alone else _flip_cure(recording.notes),
+            _signs_cure(model, sign, alone) if alone else _flip_cure(recording.first.notes),
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
@@ -240,7 +240,8 @@ def _sign_and_scale(
     for k in doubtful:
         yield _drives_its_motion(model, k, float(friction[k]), sign, [*alone, *doubtful])
     low, high = THRESHOLDS.plausible
-    if recording.stiffness_unknown:
+    servo = recording.first.servo
+    if servo is not None and np.any(np.isnan(servo.kp)):
         yield _stiffness(model, scale)
         return
     if not low < scale < high:
@@ -327,13 +328,13 @@ def _stiffness(model: RobotModel, scale: float) -> Finding:
 
 
 def _scale_finding(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
-    if recording.torque_source == "command":
+    if recording.first.torque_source == "command":
         guess = "the stiffness of the servo differs"
         cure = Cure("check it, or leave it out, so that it is identified")
     elif 300 < scale < 3000:
         guess = "they look like mN m"
         cure = Cure('write units = { torque = "mN m" } in a recording sheet')
-    elif scale < 0.3 and (scale > 0.005 or recording.torque_source == "current"):
+    elif scale < 0.3 and (scale > 0.005 or recording.first.torque_source == "current"):
         guess = "they look like motor currents without gains"
         cure = Cure(
             "give the gains in N m/A, one per joint, here or as gains = [...] in a recording sheet;"

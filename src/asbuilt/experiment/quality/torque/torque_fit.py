@@ -131,16 +131,14 @@ class TorqueFit:
     @property
     def predicted(self) -> Array:
         """Standard deviation of the predicted torque of each joint [N m], shape (n,)."""
-        deviation: Array = np.std(self._residuals[0], axis=0)
-        return deviation
+        return np.asarray(np.std(self._residuals[0], axis=0))
 
     @property
     def decides(self) -> Mask:
         """Which joints have enough predicted torque to decide anything, shape (n,)."""
         predicted = self.predicted
         # Predicted torque, relative to the largest, below which a joint decides nothing.
-        enough: Mask = predicted > 0.02 * np.max(predicted)
-        return enough
+        return np.asarray(predicted > 0.02 * np.max(predicted))
 
     @property
     def gravity(self) -> Array:
@@ -148,30 +146,26 @@ class TorqueFit:
         q = self.q[:, list(self.motion_of)]
         still = np.zeros_like(q)
         torque = inverse_dynamics(self.model, q, still, still, threads=1)
-        deviation: Array = np.std(self.without_friction(torque), axis=0)
-        return deviation
+        return np.asarray(np.std(self.without_friction(torque), axis=0))
 
     @property
     def measured(self) -> Array:
         """Standard deviation of the measured torque of each joint [N m], shape (n,)."""
-        deviation: Array = np.std(self._residuals[1], axis=0)
-        return deviation
+        return np.asarray(np.std(self._residuals[1], axis=0))
 
     @property
     def correlation(self) -> Array:
         """Correlation of measured with predicted torque, joint by joint, shape (n,)."""
         x, y = self._residuals
         norms = np.linalg.norm(x, axis=0) * np.linalg.norm(y, axis=0)
-        dots: Array = np.sum(x * y, axis=0)
-        return np.asarray(dots / np.where(norms > 0, norms, 1.0))
+        return np.asarray(np.sum(x * y, axis=0) / np.where(norms > 0, norms, 1.0))
 
     @property
     def gain(self) -> Array:
         """Least-squares factor from predicted to measured torque, joint by joint, shape (n,)."""
         x, y = self._residuals
         energy = np.sum(x**2, axis=0)
-        factor: Array = np.sum(x * y, axis=0) / np.where(energy > 0, energy, 1.0)
-        return factor
+        return np.asarray(np.sum(x * y, axis=0) / np.where(energy > 0, energy, 1.0))
 
     @property
     def friction_correlation(self) -> Array:
@@ -206,8 +200,7 @@ class TorqueFit:
         """Return `|y_k - sign x_k|^2 / (|y_k|^2 + |x_k|^2)` of each joint, shape (n,)."""
         x, y = self._residuals
         scale = np.sum(x**2, axis=0) + np.sum(y**2, axis=0)
-        share: Array = np.sum((y - sign * x) ** 2, axis=0) / np.where(scale > 0, scale, 1.0)
-        return share
+        return np.asarray(np.sum((y - sign * x) ** 2, axis=0) / np.where(scale > 0, scale, 1.0))
 
     @property
     def cost(self) -> float:
@@ -216,8 +209,7 @@ class TorqueFit:
 
     def changes(self) -> Iterator[TorqueFit]:
         """Yield the fits with two joints swapped: their torques, their motions, or both."""
-        pairs = zip(swaps(self.torque_of), swaps(self.motion_of), strict=True)
-        for torque_of, motion_of in pairs:
+        for torque_of, motion_of in zip(swaps(self.torque_of), swaps(self.motion_of), strict=True):
             yield replace(self, torque_of=torque_of)
             if self.model.n_joints <= THRESHOLDS.most_joints:
                 yield replace(self, torque_of=torque_of, motion_of=motion_of)

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.log_format import LogTable
-from asbuilt.experiment.logs.formats.ros.messages import KINDS, JointMessage, Topics
+from asbuilt.experiment.logs.formats.log_format import LogTable, table_of_joints
+from asbuilt.experiment.logs.formats.ros.messages import FIELDS, KINDS, JointMessage, Topics
 from asbuilt.findings import Cure
-
-FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
 
 
 def joint_table(
@@ -66,28 +64,23 @@ def joint_table(
         notes.append(f"commands were left out: {problem.message}")
         commanded, commands = (), []
         stamps, sent, commands = _clocks(path, topics, kept, commands)
-    known: dict[str, tuple[str, str]] = {}
-    columns: dict[str, Array] = {"time": (stamps - stamps[0]).astype(np.float64) * 1e-9}
-    for field, quantity in FIELDS:
-        values = _values(kept, field, names)
-        if values is None:
-            continue
-        for k, name in enumerate(names):
-            columns[f"{name}/{field}"] = np.ascontiguousarray(values[:, k])
-            known[f"{name}/{field}"] = (quantity, name)
+    groups = [
+        (field, quantity, names, values)
+        for field, quantity in FIELDS
+        if (values := _values(kept, field, names)) is not None
+    ]
     values = _values(commands, "position", commanded) if commands else None
     if values is not None:
         last = np.searchsorted(sent, stamps, side="right") - 1
         if before := int(np.count_nonzero(last < 0)):
             notes.append(f"{before} states before the first command count as commanded like it")
-        for k, name in enumerate(commanded):
-            columns[f"{name}/command"] = np.ascontiguousarray(values[np.maximum(last, 0), k])
-            known[f"{name}/command"] = ("command", name)
-    if not any(quantity in ("torque", "command") for quantity, _ in known.values()):
+        groups.append(("command", "command", commanded, values[np.maximum(last, 0)]))
+    if not any(quantity in ("torque", "command") for _, quantity, joints, _ in groups if joints):
         raise _without_commands(path, topics, names)
     if dropped := len(states) - len(kept):
         notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
-    return LogTable(source=str(path), columns=columns, known=known, notes=tuple(notes))
+    t = (stamps - stamps[0]).astype(np.float64) * 1e-9
+    return table_of_joints(str(path), t, groups, notes)
 
 
 def _states(

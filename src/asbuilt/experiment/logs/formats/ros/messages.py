@@ -21,6 +21,8 @@ DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = "std_msgs/msg/Float64MultiArray"
+FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
+"""Fields of a joint state, and their quantities."""
 _NONE = np.empty(0)
 
 
