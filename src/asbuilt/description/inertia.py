@@ -60,8 +60,7 @@ class LinkInertia:
         """
         c = np.asarray(com, dtype=np.float64)
         tensor = np.asarray(inertia_about_com, dtype=np.float64)
-        at_origin = tensor + mass * (c @ c * np.eye(3) - np.outer(c, c))
-        return cls.from_origin(mass, mass * c, at_origin)
+        return cls.from_origin(mass, mass * c, tensor + mass * (c @ c * np.eye(3) - np.outer(c, c)))
 
     @classmethod
     def from_origin(cls, mass: float, first_moment: ArrayLike, inertia: ArrayLike) -> LinkInertia:
@@ -195,9 +194,8 @@ class LinkInertia:
             return None
         if self.mass <= 0.0:
             return f"mass is {self.mass:.4g} kg; it must be positive"
-        tensor = self.inertia_about_com
         slack = CONSISTENCY_TOLERANCE * float(np.trace(np.abs(self.inertia)))
-        moments = dict(zip(("Ixx", "Iyy", "Izz"), np.diag(tensor), strict=True))
+        moments = dict(zip(("Ixx", "Iyy", "Izz"), np.diag(self.inertia_about_com), strict=True))
         for name, moment in moments.items():
             if moment < -slack:
                 return (
@@ -247,8 +245,8 @@ def pseudo_inertias(parameters: ArrayLike) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _parameters_of(pseudo_inertia: Array) -> Array:
-    J = pseudo_inertia
+def _parameters_of(J: Array) -> Array:
+    """Return the ten-vectors (..., 10) of pseudo-inertias (..., 4, 4)."""
     a, b, c = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
     entries = (
         b + c,

@@ -457,8 +457,7 @@ class RobotModel:
             self.joints, self.followers, self.links, self.frames
         )
         shares = self.motor_shares
-        turns = np.any(shares, axis=1)
-        turning = np.where(turns[:, None], shares, np.eye(self.n_joints))
+        turning = np.where(np.any(shares, axis=1)[:, None], shares, np.eye(self.n_joints))
         return replace(
             self,
             joints=joints,
@@ -528,10 +527,8 @@ class RobotModel:
         n = self.n_joints
         T = np.eye(n) if self.motor_coupling is None else self.motor_coupling
         if self.coupling is not None:
-            plain = np.all(np.eye(n) == T, axis=1)
-            T = np.where(plain[:, None], self.link_shares[:n], T)
-        alone = np.count_nonzero(T, axis=1) <= 1
-        return np.where(alone[:, None], 0.0, T)
+            T = np.where(np.all(np.eye(n) == T, axis=1)[:, None], self.link_shares[:n], T)
+        return np.where((np.count_nonzero(T, axis=1) <= 1)[:, None], 0.0, T)
 
     def link_positions(self, q: Array) -> Array:
         """Return the positions (..., n_links) of the joints of all links, for q (..., n_joints).

@@ -184,8 +184,7 @@ def unit_factor(text: str, *, mass: int, length: int) -> float:
     1e-09
     """
     value, found_mass, found_length = 1.0, 0, 0
-    rest = _FACTOR.sub("", text)
-    if rest.strip(" *·.()") or not text.strip():
+    if _FACTOR.sub("", text).strip(" *·.()") or not text.strip():
         raise DescriptionError(f"the unit {text!r} is not understood; write it like 'g mm^2'")
     for symbol, power, superscript in _FACTOR.findall(text):
         exponent = _SUPERSCRIPT.get(superscript) or int(power or 1)

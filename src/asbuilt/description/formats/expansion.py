@@ -174,8 +174,7 @@ class _Expression:
         return [*map(self.value, node.elts)]
 
     def _dict(self, node: ast.Dict) -> dict[Any, Any]:
-        keys = map(self.value, node.keys)
-        return dict(zip(keys, map(self.value, node.values), strict=True))
+        return dict(zip(map(self.value, node.keys), map(self.value, node.values), strict=True))
 
     def _call(self, node: ast.Call) -> Any:
         function = self._function(node.func)

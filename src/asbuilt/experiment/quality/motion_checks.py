@@ -156,8 +156,7 @@ def _fast(model: RobotModel, motion: SmoothedMotion, revolute: Mask) -> tuple[st
     speed = np.percentile(np.abs(motion.qd[:, revolute]), USUAL_PEAK, axis=0)
     limits = [joint.limits for joint in model.joints if joint.is_revolute]
     fastest = np.array([limit.velocity for limit in limits])
-    known = np.isfinite(fastest) & (fastest > 0)
-    ratio = speed / np.where(known, fastest, DEGREES.assumed_speed)
+    ratio = speed / np.where(np.isfinite(fastest) & (fastest > 0), fastest, DEGREES.assumed_speed)
     k = int(np.argmax(ratio))
     if not (
         ratio[k] > DEGREES.speed

@@ -262,8 +262,7 @@ class Physics:
             self.rub(coulomb[k], viscous[k])
             self._mujoco.mj_forward(self.compiled, data)
             acceleration[k] = data.qacc[order]
-            of_springs = data.qfrc_spring
-            at_joints = (of_springs - data.qfrc_constraint - data.qfrc_passive)[self._every]
+            at_joints = (data.qfrc_spring - data.qfrc_constraint - data.qfrc_passive)[self._every]
             friction[k] = at_joints @ moved.by_sample[k % len(moved.by_sample)]
         return acceleration, friction
 

@@ -210,8 +210,7 @@ class DataLogger:
 
         Its columns are `t` (N,), `q`, `tau`, `q_command` and, if logged, `qd` and `qdd` (N, n).
         """
-        every = round(1.0 / self.rate / (truth.t[1] - truth.t[0]))
-        pick = slice(None, None, every)
+        pick = slice(None, None, round(1.0 / self.rate / (truth.t[1] - truth.t[0])))
         seen = Trajectory(truth.t[pick], truth.q[pick], truth.qd[pick], truth.qdd[pick])
         q, qd, torque = sensors.measured(model, seen, sensors.delayed(truth.t, tau)[pick], rng)
         t = seen.t.copy()

@@ -460,8 +460,7 @@ class VirtualRobot:
             f"simulated {how}: {motion.parametrisation} motion of {motion.duration:g} s at"
             f" {self.logger.rate:g} Hz, drive terms {self.drive}"
         )
-        torque = self.exact_torque(sampled.q, sampled.qd, sampled.qdd)
-        return sampled, torque, sampled.q, note
+        return sampled, self.exact_torque(sampled.q, sampled.qd, sampled.qdd), sampled.q, note
 
     def _controlled(
         self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None

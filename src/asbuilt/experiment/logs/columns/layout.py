@@ -631,8 +631,7 @@ def _time_column(
 ) -> tuple[str | None, float]:
     unit = unit_scale(sheet.units.time) if sheet.units.time else None
     if sheet.columns.time is not None:
-        name = _column(source, names, order, "time", sheet.columns.time)
-        return name, unit or 1.0
+        return _column(source, names, order, "time", sheet.columns.time), unit or 1.0
     group = groups.get(("time", ""))
     if group is None:
         return None, 1.0

@@ -214,7 +214,8 @@ def _roles(
 
     And whether the positions are degrees. `known` is the group of positions, if that is known.
     """
-    position, velocity = _position_and_velocity(t, groups, known)
+    pair = _derivative_pair(t, groups, known)
+    position, velocity = pair if pair is not None else (known or 0, None)
     if model is None:
         rest = [k for k in range(len(groups)) if k not in (position, velocity)]
         return position, velocity, rest, bool(_largest(groups[position]) > LARGEST_RADIANS)
@@ -277,14 +278,6 @@ def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
         rates.reverse()
     low, high = RATES
     return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
-
-
-def _position_and_velocity(
-    t: Array, groups: list[Array], known: int | None
-) -> tuple[int, int | None]:
-    """Return the groups of which the second follows the derivative of the first, or the first."""
-    pair = _derivative_pair(t, groups, known)
-    return pair if pair is not None else (known or 0, None)
 
 
 def _derivative_pair(t: Array, groups: list[Array], known: int | None) -> tuple[int, int] | None:

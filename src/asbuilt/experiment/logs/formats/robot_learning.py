@@ -109,8 +109,7 @@ def _names(
     path: Path, info: Mapping[str, Any], field: str, cells: Sequence[Any]
 ) -> tuple[str, ...]:
     """Return the names of the numbers of a feature."""
-    feature = info["features"].get(field, {})
-    names = feature.get("names")
+    names = info["features"].get(field, {}).get("names")
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):

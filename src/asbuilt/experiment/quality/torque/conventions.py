@@ -89,8 +89,7 @@ class Conventions:
             np.array(each) for each in (self.position_sign, self.torque_sign, self.zero)
         )
         signs[k], torques[k], zeros[k] = position, torque, zero
-        own = replace(fit, q=q, qd=qd, qdd=qdd, tau=tau)
-        return Conventions(own, signs, torques, zeros)
+        return Conventions(replace(fit, q=q, qd=qd, qdd=qdd, tau=tau), signs, torques, zeros)
 
     def changes(self) -> Iterator[Conventions]:
         """Yield the conventions with one more joint changed; a torque alone is another check's."""
@@ -308,8 +307,7 @@ class _Cosines:
     def estimated(self) -> Array:
         """Return the gravity of free fall in the direction of least squares, to three digits."""
         columns = np.stack([part.ravel() for part in self.gravity], axis=1)
-        rest = (self.measured - self.motion).ravel()
-        g = np.linalg.lstsq(columns, rest, rcond=None)[0]
+        g = np.linalg.lstsq(columns, (self.measured - self.motion).ravel(), rcond=None)[0]
         norm = float(np.linalg.norm(g))
         if norm == 0.0:
             return np.zeros(3)

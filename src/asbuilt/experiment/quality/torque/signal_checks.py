@@ -130,8 +130,7 @@ def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     # Power at high frequency, relative to the peak, that no torque sensor falls below.
     if floor > 1e-9:
         return
-    middle = np.median(relative, axis=1)
-    last = int(np.flatnonzero(middle > max(100 * floor, 1e-9))[-1])
+    last = int(np.flatnonzero(np.median(relative, axis=1) > max(100 * floor, 1e-9))[-1])
     yield Finding(
         "already_filtered",
         "info",
@@ -170,10 +169,9 @@ def unsigned_findings(
     whose commands, if there are any, say what was logged. A joint that the model's gravity always
     loads in the positive direction says nothing.
     """
-    high = np.where(_held_up(model, beginning), 0.0, measured.high)
-    if not is_unsigned(measured.low, high):
-        return
-    if not _reverses(beginning):
+    used = (measured.high > 0.0) & ~_held_up(model, beginning)
+    # Joints from which it is no accident that none has a torque of the other sign.
+    if np.count_nonzero(used) < 2 or np.any(measured.low < 0.0) or not _reverses(beginning):
         return
     laws = magnitude_laws(beginning)
     if laws and all(law is not None and law.holds and law.kind == "motor" for law in laws):
@@ -210,13 +208,6 @@ def law_text(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
         if listed:
             parts.append(f"those of {joined(listed)} are {what}")
     return f"; {'; '.join(parts)}" if parts else ""
-
-
-def is_unsigned(low: Array, high: Array) -> bool:
-    """Return whether the extremes (n,) of the joints are those of magnitudes."""
-    used = np.asarray(high) > 0.0
-    # Joints from which it is no accident that none has a torque of the other sign.
-    return bool(np.count_nonzero(used) >= 2 and np.all(np.asarray(low) >= 0.0))
 
 
 def _held_up(model: RobotModel, recording: Recording) -> Mask:

@@ -242,7 +242,13 @@ def _sign_and_scale(
     low, high = THRESHOLDS.plausible
     servo = recording.first.servo
     if servo is not None and np.any(np.isnan(servo.kp)):
-        yield _stiffness(model, scale)
+        yield Finding(
+            "servo_stiffness",
+            "info",
+            f"the stiffness of the position servo is not stated; the masses of {model.name} give"
+            f" about {1.0 / scale:.2g} N m/rad",
+            Cure("give the stiffness if it is known; else it is identified, with its error"),
+        )
         return
     if not low < scale < high:
         yield _scale_finding(model, recording, scale, evidence)
@@ -314,17 +320,6 @@ def _flipped_joint(
     model: RobotModel, k: int, severity: Severity, message: str, cure: Cure
 ) -> Finding:
     return Finding("joint_torque_flipped", severity, message, cure, joint=model.joint_names[k])
-
-
-def _stiffness(model: RobotModel, scale: float) -> Finding:
-    """Return what the masses of the description say of an unknown stiffness."""
-    return Finding(
-        "servo_stiffness",
-        "info",
-        f"the stiffness of the position servo is not stated; the masses of {model.name} give about"
-        f" {1.0 / scale:.2g} N m/rad",
-        Cure("give the stiffness if it is known; else it is identified, with its error"),
-    )
 
 
 def _scale_finding(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:

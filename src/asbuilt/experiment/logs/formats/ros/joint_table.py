@@ -79,8 +79,7 @@ def joint_table(
         raise _without_commands(path, topics, names)
     if dropped := len(states) - len(kept):
         notes.append(f"{dropped} of {len(states)} messages name other joints and were left out")
-    t = (stamps - stamps[0]).astype(np.float64) * 1e-9
-    return table_of_joints(str(path), t, groups, notes)
+    return table_of_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups, notes)
 
 
 def _states(

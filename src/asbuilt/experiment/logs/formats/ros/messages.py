@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -86,14 +87,6 @@ def _dynamic_state(logged: int, message: Any) -> list[JointMessage]:
     return [JointMessage(logged, _stamp(message), joints, position, velocity, effort)]
 
 
-def _measured(logged: int, message: Any) -> list[JointMessage]:
-    return _of_controller(logged, message, ("feedback", "actual"))
-
-
-def _reference(logged: int, message: Any) -> list[JointMessage]:
-    return _of_controller(logged, message, ("reference", "desired"))
-
-
 def _of_controller(logged: int, message: Any, fields: Sequence[str]) -> list[JointMessage]:
     """Read the first of these points of a controller's state that has positions."""
     names = tuple(message.joint_names)
@@ -124,7 +117,10 @@ KINDS: Mapping[str, MessageKind] = MappingProxyType(
     {
         JOINT_STATE: MessageKind(states=_joint_state, commands=_joint_state),
         DYNAMIC_STATE: MessageKind(states=_dynamic_state),
-        CONTROLLER_STATE: MessageKind(states=_measured, commands=_reference),
+        CONTROLLER_STATE: MessageKind(
+            states=partial(_of_controller, fields=("feedback", "actual")),
+            commands=partial(_of_controller, fields=("reference", "desired")),
+        ),
         TRAJECTORY: MessageKind(commands=_points),
         ARRAY: MessageKind(commands=_numbers_alone),
     }
