@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 
 QUARTER = math.pi / 2.0
 EXACT_TOLERANCE = 1e-12
@@ -204,15 +204,15 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
             f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}"
         )
     fault = rotation_fault(T[:3, :3])
-    if fault is not None:
-        raise DescriptionError(
-            f"{what} does not hold a rotation in its first three rows and columns: {fault}"
-        )
-    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (fault, f"{what} does not hold a rotation in its first three rows and columns: {fault}"),
+        (
+            not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]),
             f"{what} must have the last row 0 0 0 1, got {T[3].tolist()}; translations stand in the"
-            " last column"
-        )
+            " last column",
+        ),
+    )
     T.setflags(write=False)
     return T
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.findings import Cure, joined
 
 TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
@@ -271,21 +271,25 @@ class Recording:
     def scaled(self, gain: ArrayLike) -> Recording:
         """Return the recording with torques times `gain`, one number or one per joint."""
         gains = np.atleast_1d(np.asarray(gain, dtype=np.float64))
-        if gains.ndim != 1 or gains.size not in (1, self.n_joints):
-            raise RecordingError(
+        refuse(
+            RecordingError,
+            (
+                gains.ndim != 1 or gains.size not in (1, self.n_joints),
                 f"{self.source}: {gains.size} gains for {self.n_joints} joints"
                 f" ({', '.join(self.joint_names)})",
-                cure=Cure("give one gain, or one per joint"),
-                file=self.source,
-                value=gains.size,
-                expected=self.n_joints,
-            )
-        if not np.all(np.isfinite(gains)) or np.any(gains == 0):
-            raise RecordingError(
+                {
+                    "cure": Cure("give one gain, or one per joint"),
+                    "file": self.source,
+                    "value": gains.size,
+                    "expected": self.n_joints,
+                },
+            ),
+            (
+                not np.all(np.isfinite(gains)) or np.any(gains == 0),
                 f"{self.source}: gains must be finite and not zero, got {gains.tolist()}",
-                file=self.source,
-                value=gains.tolist(),
-            )
+                {"file": self.source, "value": gains.tolist()},
+            ),
+        )
         listed = ", ".join(f"{g:g}" for g in gains)
         total = tuple(
             (gains * np.ones(self.n_joints) * (1.0 if self.gains is None else self.gains)).tolist()

@@ -41,7 +41,7 @@ from asbuilt.description.rotation import (
     straightened,
 )
 from asbuilt.description.structure.free_base import BaseKind, free_urdf, links_on_base
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 from asbuilt.findings import Cure
 
 MOVING: dict[str, JointKind] = {
@@ -265,17 +265,20 @@ def _end(element: Element, end: str, bodies: _Bodies, place: str) -> str:
 def _root_link(bodies: _Bodies, connections: list[_Connection], source: str) -> str:
     children = {connection.child for connection in connections}
     tops = [name for name in bodies if name not in children]
-    if not tops:
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (
+            not tops,
             f"{source}: every link is the child of a joint, so the joints form a loop; one link"
-            " must be the root"
-        )
-    if len(tops) > 1:
-        raise DescriptionError(
+            " must be the root",
+        ),
+        (
+            len(tops) > 1,
             f"{source}: {len(tops)} links have no parent joint"
             f" ({', '.join(repr(name) for name in tops[:5])}); a robot has one root: connect the"
-            " others to it"
-        )
+            " others to it",
+        ),
+    )
     return tops[0]
 
 

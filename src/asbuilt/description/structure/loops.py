@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.rotation import rotation_fault
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, ancestors
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 
 LoopKind = Literal["connect", "weld", "joint"]
 CONNECT, WELD, JOINT = range(3)
@@ -61,23 +61,26 @@ class Loop:
             object.__setattr__(self, name, array)
         object.__setattr__(self, "joints", tuple(self.joints))
         object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))
-        fault = rotation_fault(self.rotation.tolist())
-        if fault is not None:
-            raise DescriptionError(f"{self}: rotation is not a rotation matrix: {fault}")
-        if self.kind == "joint" and not (
-            1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
-        ):
-            raise DescriptionError(
+        fault, of_joints = rotation_fault(self.rotation.tolist()), self.kind == "joint"
+        numbers = 1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
+        refuse(
+            DescriptionError,
+            (fault, f"{self}: rotation is not a rotation matrix: {fault}"),
+            (
+                of_joints and not numbers,
                 f"{self}: a loop of joints needs one or two of them and a polynomial of one to five"
-                f" numbers, got {len(self.joints)} and {len(self.polynomial)}"
-            )
-        if self.kind != "joint" and (not self.link_a or not self.link_b):
-            raise DescriptionError(f"{self}: link_a and link_b are needed")
-        if self.kind != "joint" and self.link_a == self.link_b:
-            raise DescriptionError(
+                f" numbers, got {len(self.joints)} and {len(self.polynomial)}",
+            ),
+            (
+                not of_joints and not (self.link_a and self.link_b),
+                f"{self}: link_a and link_b are needed",
+            ),
+            (
+                not of_joints and self.link_a == self.link_b,
                 f"{self}: both points are on {self.link_a!r}, so that it closes no chain; name the"
-                " two links that meet there"
-            )
+                " two links that meet there",
+            ),
+        )
 
     def __str__(self) -> str:
         if self.name:

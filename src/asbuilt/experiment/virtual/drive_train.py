@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
 from asbuilt.dynamics.parameters import parameter_names
-from asbuilt.errors import UsageError
+from asbuilt.errors import UsageError, refuse
 from asbuilt.excitation.motions.motion import Trajectory, read_only
 from asbuilt.experiment.virtual.sensors import PerJoint, per_joint
 from asbuilt.findings import Cure
@@ -159,20 +159,21 @@ class PositionController:
                     value=value,
                     lower=0.0,
                 )
-        if self.feedforward not in get_args(FeedForward):
-            raise UsageError(
+        refuse(
+            UsageError,
+            (
+                self.feedforward not in get_args(FeedForward),
                 f"feedforward {self.feedforward!r} is not one of"
                 f" {', '.join(get_args(FeedForward))}",
-                value=self.feedforward,
-                available=get_args(FeedForward),
-            )
-        if self.bandwidth > self.rate / 20:
-            raise UsageError(
+                {"value": self.feedforward, "available": get_args(FeedForward)},
+            ),
+            (
+                self.bandwidth > self.rate / 20,
                 f"the bandwidth of a controller of {self.rate:g} Hz must be at most a twentieth,"
                 f" {self.rate / 20:g} Hz, got {self.bandwidth:g} Hz",
-                value=self.bandwidth,
-                upper=self.rate / 20,
-            )
+                {"value": self.bandwidth, "upper": self.rate / 20},
+            ),
+        )
 
     def target(self, command: Trajectory, rate: float) -> Trajectory:
         """Return what the controller follows: the command at its ticks."""
@@ -233,16 +234,24 @@ class JointServo:
     rate: float = 1000.0
 
     def __post_init__(self) -> None:
-        if not np.all(np.asarray(self.kp) > 0.0) or not np.all(np.asarray(self.kd) >= 0.0):
-            raise UsageError(
+        refuse(
+            UsageError,
+            (
+                not (np.all(np.asarray(self.kp) > 0.0) and np.all(np.asarray(self.kd) >= 0.0)),
                 f"kp of a servo must be positive and kd not negative, got {self.kp} and {self.kd}",
-                value=(self.kp, self.kd),
-                lower=0.0,
-            )
-        if not (np.isfinite(self.delay) and self.delay >= 0.0):
-            raise UsageError(f"delay must not be negative, got {self.delay}", value=self.delay)
-        if not (np.isfinite(self.rate) and self.rate > 0.0):
-            raise UsageError(f"rate must be positive, got {self.rate}", value=self.rate)
+                {"value": (self.kp, self.kd), "lower": 0.0},
+            ),
+            (
+                not (np.isfinite(self.delay) and self.delay >= 0.0),
+                f"delay must not be negative, got {self.delay}",
+                {"value": self.delay},
+            ),
+            (
+                not (np.isfinite(self.rate) and self.rate > 0.0),
+                f"rate must be positive, got {self.rate}",
+                {"value": self.rate},
+            ),
+        )
 
     def target(self, command: Trajectory, rate: float) -> Trajectory:
         """Return the command at the ticks as it arrives: held, delayed, without its velocity.

@@ -14,7 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque, kinetic_energy, potential_energy
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.errors import InertiaError, UsageError
+from asbuilt.errors import InertiaError, UsageError, refuse
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.experiment.recording import Recording
@@ -193,19 +193,24 @@ def run_free(
     >>> run_free(bundled_robot("two-link"), "free", duration=0.5).imbalance < 1e-6
     True
     """
-    if release not in get_args(Release):
-        raise UsageError(
-            f"there is no release {release!r}; there are {', '.join(get_args(Release))}"
-        )
-    if not (np.isfinite(duration) and duration >= 2 * FREE.timestep * FREE.logged):
-        raise UsageError(f"the duration must be a positive number of seconds, got {duration}")
     further = sorted({key for joint in model.joints for key in joint.drive.terms})
-    if further:
-        raise UsageError(
+    refuse(
+        UsageError,
+        (
+            release not in get_args(Release),
+            f"there is no release {release!r}; there are {', '.join(get_args(Release))}",
+        ),
+        (
+            not (np.isfinite(duration) and duration >= 2 * FREE.timestep * FREE.logged),
+            f"the duration must be a positive number of seconds, got {duration}",
+        ),
+        (
+            further,
             f"the drives of {model.name} have the terms {', '.join(further)}, which MuJoCo does not"
             " simulate",
-            value=further,
-        )
+            {"value": further},
+        ),
+    )
     n = model.n_joints
     armature, viscous, coulomb, offset = (
         np.array([getattr(joint.drive, name) or 0.0 for joint in model.joints])

@@ -17,7 +17,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
-from asbuilt.errors import UsageError
+from asbuilt.errors import UsageError, refuse
 from asbuilt.excitation.motions.motion import Motion, Trajectory, read_only
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
@@ -150,24 +150,24 @@ class VirtualRobot:
                 value=self.model.joint_names,
                 expected=self.described.joint_names,
             )
-        if self.torque not in ("sensor", "motor", "current"):
-            raise UsageError(
+        refuse(
+            UsageError,
+            (
+                self.torque not in ("sensor", "motor", "current"),
                 f"torque {self.torque!r} is not one of sensor, motor, current",
-                value=self.torque,
-                available=("sensor", "motor", "current"),
-            )
-        if not 0.0 <= self.behind <= 1.0:
-            raise UsageError(
+                {"value": self.torque, "available": ("sensor", "motor", "current")},
+            ),
+            (
+                not 0.0 <= self.behind <= 1.0,
                 f"the share of friction behind the sensor must be from 0 to 1, got {self.behind}",
-                value=self.behind,
-                lower=0.0,
-                upper=1.0,
-            )
-        if isinstance(self.train, TermDrives) != (self.controller is None):
-            raise UsageError(
+                {"value": self.behind, "lower": 0.0, "upper": 1.0},
+            ),
+            (
+                isinstance(self.train, TermDrives) != (self.controller is None),
                 "a robot that follows exactly has drive terms and no controller, one in MuJoCo a"
-                " drive train and a controller"
-            )
+                " drive train and a controller",
+            ),
+        )
         if isinstance(self.train, TermDrives):
             self.train.check(self.model)
         else:
