@@ -134,30 +134,34 @@ class Recording:
                 )
             object.__setattr__(self, name, array)
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
-        if len(names) != q.shape[1]:
-            raise RecordingError(
+        repeated = min((name for name in names if names.count(name) > 1), default=None)
+        n_gains = q.shape[1] if self.servo is None else len(self.servo.kp)
+        refuse(
+            RecordingError,
+            (
+                len(names) != q.shape[1],
                 f"{self.source}: {q.shape[1]} columns in q but {len(names)} joint names:"
                 f" {', '.join(names)}",
-                file=self.source,
-                value=len(names),
-                expected=q.shape[1],
-            )
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise RecordingError(
-                f"{self.source}: joint name {repeated[0]!r} is used {names.count(repeated[0])}"
+                {"file": self.source, "value": len(names), "expected": q.shape[1]},
+            ),
+            (
+                repeated is not None,
+                f"{self.source}: joint name {repeated!r} is used {names.count(str(repeated))}"
                 " times; each joint needs its own",
-                file=self.source,
-                value=repeated[0],
-            )
-        if self.torque_source not in TORQUE_SOURCES:
-            raise RecordingError(
+                {"file": self.source, "value": repeated},
+            ),
+            (
+                self.torque_source not in TORQUE_SOURCES,
                 f"{self.source}: torque_source {self.torque_source!r} is not one of"
                 f" {', '.join(TORQUE_SOURCES)}",
-                file=self.source,
-                value=self.torque_source,
-                available=TORQUE_SOURCES,
-            )
+                {"file": self.source, "value": self.torque_source, "available": TORQUE_SOURCES},
+            ),
+            (
+                n_gains != q.shape[1],
+                f"{self.source}: the servo has gains of {n_gains} joints, the log has {q.shape[1]}",
+                {"file": self.source, "value": n_gains, "expected": q.shape[1]},
+            ),
+        )
         extra = {name: _read_only(value, name, self.source) for name, value in self.extra.items()}
         for name, array in extra.items():
             if array.ndim not in (1, 2) or array.shape[0] != t.size:
@@ -166,14 +170,6 @@ class Recording:
                     file=self.source,
                     value=array.shape,
                 )
-        if self.servo is not None and len(self.servo.kp) != q.shape[1]:
-            raise RecordingError(
-                f"{self.source}: the servo has gains of {len(self.servo.kp)} joints, the log has"
-                f" {q.shape[1]}",
-                file=self.source,
-                value=len(self.servo.kp),
-                expected=q.shape[1],
-            )
         object.__setattr__(self, "joint_names", names)
         object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "extra", MappingProxyType(extra))

@@ -29,7 +29,7 @@ from asbuilt.description.model import (
     Symbols,
 )
 from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z, straightened
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 
 Convention = Literal["standard", "modified"]
 
@@ -247,27 +247,29 @@ def read_dh_table(path: str | Path) -> RobotModel:
 
 
 def _check_columns(path: Path, columns: list[str]) -> None:
-    repeated = sorted({name for name in columns if columns.count(name) > 1})
-    if repeated:
-        raise DescriptionError(f"{path}: column {repeated[0]!r} appears twice")
-    if not set(GEOMETRY_COLUMNS) & set(columns):
-        raise DescriptionError(
+    known = {"link", *GEOMETRY_COLUMNS, *MASS_COLUMNS, "theta_deg", "kind"}
+    repeated = min((name for name in columns if columns.count(name) > 1), default=None)
+    missing = [name for name in (*GEOMETRY_COLUMNS, *MASS_COLUMNS) if name not in columns]
+    unknown = next((name for name in columns if name not in known), None)
+    refuse(
+        DescriptionError,
+        (repeated is not None, f"{path}: column {repeated!r} appears twice"),
+        (
+            not set(GEOMETRY_COLUMNS) & set(columns),
             f"{path} is no table of Denavit-Hartenberg parameters: it has columns"
             f" {', '.join(columns[:8])}, none of {', '.join(GEOMETRY_COLUMNS)}; if it is a"
-            " recording, name the robot before it"
-        )
-    missing = [name for name in (*GEOMETRY_COLUMNS, *MASS_COLUMNS) if name not in columns]
-    if missing:
-        raise DescriptionError(
+            " recording, name the robot before it",
+        ),
+        (
+            missing,
             f"{path}: column {', '.join(missing)} is missing; the table needs"
-            f" {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}"
-        )
-    known = {"link", *GEOMETRY_COLUMNS, *MASS_COLUMNS, "theta_deg", "kind"}
-    unknown = [name for name in columns if name not in known]
-    if unknown:
-        raise DescriptionError(
-            f"{path}: column {unknown[0]!r} is unknown; known are {', '.join(sorted(known))}"
-        )
+            f" {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}",
+        ),
+        (
+            unknown is not None,
+            f"{path}: column {unknown!r} is unknown; known are {', '.join(sorted(known))}",
+        ),
+    )
 
 
 def _row(place: str, cells: dict[str, str]) -> DHRow:

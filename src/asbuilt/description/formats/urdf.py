@@ -49,6 +49,15 @@ MOVING: dict[str, JointKind] = {
     "continuous": "continuous",
     "prismatic": "prismatic",
 }
+HELD_OR_REPLACED = {
+    "floating": Cure(
+        "hold it at its pose if the robot hangs in the air or stands clamped, or replace it by"
+        ' type="fixed"',
+        settings={"fixed_base": True},
+    ),
+    "planar": Cure('replace it by type="fixed" or by a chain of those'),
+}
+"""What to do with joints of several freedoms, by type."""
 AXIS_TOLERANCE = 1e-6
 """An axis whose length differs from 1 by more is scaled to unit length with a note."""
 
@@ -101,16 +110,19 @@ def read_urdf(
     """
     content, source = described_text(path_or_text)
     root = parsed_xml(content, source)
-    if root.tag == "mujoco":
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (
+            root.tag == "mujoco",
             f"{source}: this is a MuJoCo model (MJCF), not a URDF; load it with load_robot or"
-            " read_mjcf"
-        )
+            " read_mjcf",
+        ),
+        (
+            root.tag != "robot",
+            f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>",
+        ),
+    )
     held = _without_floating_joints(root) if fixed_base else []
-    if root.tag != "robot":
-        raise DescriptionError(
-            f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>"
-        )
     if base != "fixed":
         free_urdf(root, base, source)
     notes = [f"the floating joint {name!r} is held at its origin" for name in held]
@@ -209,32 +221,29 @@ def _connections(
         names.add(name)
         place = f"{source}, joint {name!r}"
         kind = required(element, "type", place)
-        if kind in ("floating", "planar"):
-            raise DescriptionError(
+        refuse(
+            DescriptionError,
+            (
+                kind in HELD_OR_REPLACED,
                 f"{place}: type is {kind!r}; asbuilt describes robots whose root link stands still"
                 " and whose joints are revolute, continuous, prismatic or fixed",
-                cure=(
-                    Cure(
-                        "hold it at its pose if the robot hangs in the air or stands clamped, or"
-                        ' replace it by type="fixed"',
-                        settings={"fixed_base": True},
-                    )
-                    if kind == "floating"
-                    else Cure('replace it by type="fixed" or by a chain of those')
-                ),
-            )
-        if kind not in (*MOVING, "fixed"):
-            raise DescriptionError(
-                f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed"
-            )
+                {"cure": HELD_OR_REPLACED.get(kind)},
+            ),
+            (
+                kind not in (*MOVING, "fixed"),
+                f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed",
+            ),
+        )
         parent, child = (_end(element, end, bodies, place) for end in ("parent", "child"))
-        if parent == child:
-            raise DescriptionError(f"{place}: the joint connects link {parent!r} with itself")
-        if child in parent_joint:
-            raise DescriptionError(
-                f"{source}: link {child!r} is the child of joint {parent_joint[child]!r} and of"
-                f" joint {name!r}; closed chains are not supported, a link hangs on one joint"
-            )
+        refuse(
+            DescriptionError,
+            (parent == child, f"{place}: the joint connects link {parent!r} with itself"),
+            (
+                child in parent_joint,
+                f"{source}: link {child!r} is the child of joint {parent_joint.get(child)!r} and of"
+                f" joint {name!r}; closed chains are not supported, a link hangs on one joint",
+            ),
+        )
         parent_joint[child] = name
         connections.append(
             _Connection(

@@ -13,7 +13,7 @@ from asbuilt.description.joint_matching import (
     words_of,
 )
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.logs.columns.roles import (
     Role,
     commanded,
@@ -364,22 +364,22 @@ def _listed(
     sheet: RecordingSheet,
 ) -> _Group:
     found = [_column(source, names, order, what, column) for column in columns]
-    repeated = [name for name in found if found.count(name) > 1]
-    if repeated:
-        raise RecordingError(
-            f"{source}: the sheet gives column {repeated[0]!r} twice for {what}",
-            file=source,
-            value=repeated[0],
-        )
+    repeated = next((name for name in found if found.count(name) > 1), None)
     labels = _listed_joints(sheet) or ["" for _ in found]
-    if len(labels) != len(found):
-        raise RecordingError(
+    refuse(
+        RecordingError,
+        (
+            repeated is not None,
+            f"{source}: the sheet gives column {repeated!r} twice for {what}",
+            {"file": source, "value": repeated},
+        ),
+        (
+            len(labels) != len(found),
             f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
             f" {what}",
-            file=source,
-            value=len(found),
-            expected=len(labels),
-        )
+            {"file": source, "value": len(found), "expected": len(labels)},
+        ),
+    )
     quantity = what if what in _QUANTITIES else "torque"
     return _Group(found, [Role(quantity, label, k) for k, label in enumerate(labels, start=1)])  # type: ignore[arg-type]
 

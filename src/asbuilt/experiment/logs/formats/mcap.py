@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.errors import MissingExtraError, RecordingError
+from asbuilt.errors import MissingExtraError, RecordingError, refuse
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.experiment.logs.formats.ros.bags import choices_of_topics, read_ros_bag
@@ -226,21 +226,21 @@ def _table(
     if states and (topic is None or topic in states):
         chosen = chosen_topics(path, types, topic, command_topic)
         return joint_table(path, chosen, types, messages, **options)
-    if topic is None and len(topics) > 1:
-        raise RecordingError(
+    choice = Cure('choose one in a recording sheet: topic = "..."')
+    refuse(
+        RecordingError,
+        (
+            topic is None and len(topics) > 1,
             f"{path} has messages in JSON on {len(topics)} topics ({', '.join(sorted(topics))})",
-            cure=Cure('choose one in a recording sheet: topic = "..."'),
-            file=str(path),
-            available=sorted(topics),
-        )
-    if topic is not None and topic not in topics:
-        raise RecordingError(
+            {"cure": choice, "file": str(path), "available": sorted(topics)},
+        ),
+        (
+            topic is not None and topic not in topics,
             f"{path} has no messages in JSON on topic {topic!r}; it has them on"
             f" {', '.join(sorted(topics))}",
-            file=str(path),
-            value=topic,
-            available=sorted(topics),
-        )
+            {"file": str(path), "value": topic, "available": sorted(topics)},
+        ),
+    )
     return _columns(path, topics[topic or next(iter(topics))])
 
 
