@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import InertiaError, UsageError
 
 PARAMETER_NAMES = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
@@ -38,7 +38,7 @@ class LinkInertia:
     parameters: Array
 
     def __post_init__(self) -> None:
-        parameters = np.array(self.parameters, dtype=np.float64)
+        parameters = read_only(self.parameters)
         if parameters.shape != (10,):
             raise InertiaError(
                 f"inertial parameters must be 10 numbers ({' '.join(PARAMETER_NAMES)}), got shape"
@@ -47,7 +47,6 @@ class LinkInertia:
         if not np.all(np.isfinite(parameters)):
             bad = PARAMETER_NAMES[int(np.argmin(np.isfinite(parameters)))]
             raise InertiaError(f"inertial parameter {bad} is not finite: {parameters.tolist()}")
-        parameters.setflags(write=False)
         object.__setattr__(self, "parameters", parameters)
 
     @classmethod

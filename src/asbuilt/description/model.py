@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
@@ -127,13 +127,12 @@ class RobotModel:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        gravity = np.array(self.gravity, dtype=np.float64)
+        gravity = read_only(self.gravity)
         if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
             raise DescriptionError(
                 f"gravity of {self.name} must be three finite numbers, got"
                 f" {np.asarray(self.gravity).tolist()}"
             )
-        gravity.setflags(write=False)
         object.__setattr__(self, "gravity", gravity)
         if len(self.joints) + len(self.followers) == len(self.links):
             if not all(joint.has_motor for joint in self.joints):
@@ -190,7 +189,7 @@ class RobotModel:
         for contact in self.contacts:
             self.placed(contact.frame)
         if self.motor_coupling is not None:
-            coupling = np.array(self.motor_coupling, dtype=np.float64)
+            coupling = read_only(self.motor_coupling)
             if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(
                 np.isfinite(coupling)
             ):
@@ -203,7 +202,6 @@ class RobotModel:
                     f"{self.name}: motor_coupling is singular: some motion of the joints turns no"
                     f" motor; got {coupling.tolist()}"
                 )
-            coupling.setflags(write=False)
             object.__setattr__(self, "motor_coupling", coupling)
 
     def __repr__(self) -> str:

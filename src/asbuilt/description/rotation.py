@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import DescriptionError, refuse
 
 QUARTER = math.pi / 2.0
@@ -198,7 +198,7 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
 
     Raises `DescriptionError`, naming `what` it is, where it is none.
     """
-    T = np.array(values, dtype=np.float64)
+    T = read_only(values)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise DescriptionError(
             f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}"
@@ -213,7 +213,6 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
             " last column",
         ),
     )
-    T.setflags(write=False)
     return T
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
 from asbuilt.description.structure.couplings import TreeMotion, linear_part
 from asbuilt.description.structure.locking import usual_position
@@ -395,9 +395,7 @@ def _with_typical_shares(found: Closure) -> Closure:
     shares = np.sqrt(np.mean(examples**2, axis=0))
     shares = np.where(np.ptp(examples, axis=0) < UNMOVED, examples[0], shares)
     shares[np.abs(shares) < UNMOVED] = 0.0
-    of_links = shares[np.argsort(found.order)]
-    of_links.setflags(write=False)
-    return replace(found, of_links=of_links)
+    return replace(found, of_links=read_only(shares[np.argsort(found.order)]))
 
 
 def _check_motors(found: Closure) -> None:

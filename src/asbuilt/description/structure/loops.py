@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.rotation import rotation_fault
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, ancestors
 from asbuilt.errors import DescriptionError, refuse
@@ -52,12 +52,11 @@ class Loop:
                 f"{self}: kind {self.kind!r} is not known; kinds are {', '.join(CODES)}"
             )
         for name, shape in (("point_a", (3,)), ("point_b", (3,)), ("rotation", (3, 3))):
-            array = np.array(getattr(self, name), dtype=np.float64)
+            array = read_only(getattr(self, name))
             if array.shape != shape or not np.isfinite(array).all():
                 raise DescriptionError(
                     f"{self}: {name} must be {shape} finite numbers, got {array.tolist()}"
                 )
-            array.setflags(write=False)
             object.__setattr__(self, name, array)
         object.__setattr__(self, "joints", tuple(self.joints))
         object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))

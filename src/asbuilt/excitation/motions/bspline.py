@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import BasisMotion, read_only, way_point_array
+from asbuilt.excitation.motions.motion import BasisMotion, way_point_array
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 DEGREE = 5

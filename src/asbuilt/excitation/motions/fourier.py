@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import BasisMotion, read_only, way_point_array
+from asbuilt.excitation.motions.motion import BasisMotion, way_point_array
 
 
 class FourierMotion(BasisMotion):

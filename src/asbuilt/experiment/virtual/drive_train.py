@@ -8,14 +8,14 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError, refuse
-from asbuilt.excitation.motions.motion import Trajectory, read_only
+from asbuilt.excitation.motions.motion import Trajectory
 from asbuilt.experiment.virtual.sensors import PerJoint, per_joint
 from asbuilt.findings import Cure
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.free_base import refuse_free_base
@@ -18,7 +18,7 @@ from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError, refuse
-from asbuilt.excitation.motions.motion import Motion, Trajectory, read_only
+from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.drive_train import (
