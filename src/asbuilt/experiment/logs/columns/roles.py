@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from asbuilt.description.joint_matching import WORD, words_of
@@ -227,7 +227,7 @@ class Role:
 
     `joint` is the name of the joint ("" if it only counts), `index` its last number, `scale` the
     factor to SI, `kind` one of "", "external", "motor", "sensor" or, if the unit has no factor,
-    "unscaled".
+    "unscaled". `column` is the whole name, of columns in a layout.
     """
 
     quantity: Quantity
@@ -236,6 +236,7 @@ class Role:
     kind: str = ""
     scale: float = 1.0
     unit: str = ""
+    column: str = field(default="", repr=False)
 
 
 def unit_scale(unit: str) -> float | None:
