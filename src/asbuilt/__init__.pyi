@@ -39,7 +39,7 @@ from .experiment.recording import Recording as Recording
 from .experiment.signal.preparation import prepare_samples as prepare_samples
 from .experiment.signal.samples import Samples as Samples
 from .experiment.signal.signal_chain import SignalChain as SignalChain
-from .experiment.virtual.free_motion import run_free as run_free
+from .experiment.virtual.simulation import run_free as run_free
 from .experiment.virtual.simulation import simulate_recording as simulate_recording
 from .experiment.virtual.virtual_robot import VirtualRobot as VirtualRobot
 from .findings import Cure as Cure

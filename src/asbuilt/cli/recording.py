@@ -207,7 +207,7 @@ def simulate(
     runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
     kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
     model = robot_as_built(robot, fixed_base=fixed_base)
-    from asbuilt.description.tool import tool_from_text
+    from asbuilt.description.inertia import tool_from_text
 
     carried = None if tool is None else tool_from_text(tool)
     if at is not None and carried is None:
@@ -278,7 +278,7 @@ def _simulate_free(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    from asbuilt.experiment.virtual.bodies import with_body
+    from asbuilt.experiment.virtual.presets import with_body
     from asbuilt.writers.recording_files import (
         free_motion_document,
         free_motion_text,

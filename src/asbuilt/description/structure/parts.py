@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -190,6 +190,15 @@ class Joint:
         return self.kind != "prismatic"
 
 
+def ancestors(joints: Sequence[Joint], link: int) -> list[int]:
+    """Return the links from the root to a link, itself included, by the joints that move them."""
+    chain: list[int] = []
+    while link != ROOT:
+        chain.append(link)
+        link = joints[link].parent
+    return chain[::-1]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
     """One moving rigid body.
@@ -205,6 +214,20 @@ class Link:
     inertia_known: bool = True
     parts: tuple[tuple[str, LinkInertia], ...] = ()
     negligible: bool = False
+
+    @classmethod
+    def of_parts(
+        cls, name: str, parts: Sequence[tuple[str, LinkInertia]], *, known: bool = True
+    ) -> Link:
+        """Return the link of bodies over fixed joints, which are kept unless it is one of its name.
+
+        A link without parts has an inertia of zero, which is `known` or not given.
+        """
+        total = LinkInertia(
+            np.sum([inertia.parameters for _, inertia in parts] or [np.zeros(10)], 0)
+        )
+        merged = [part for part, _ in parts] not in ([], [name])
+        return cls(name, total, inertia_known=known, parts=tuple(parts) if merged else ())
 
     @property
     def has_mass(self) -> bool:

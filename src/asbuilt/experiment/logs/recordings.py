@@ -201,8 +201,7 @@ def _named_ones(
 def _joints_of(item: Recorded, model: RobotModel) -> tuple[str, ...]:
     """Return the joints that a recording has; those of the robot, where names say nothing."""
     names = item.head.joint_names if isinstance(item, RecordingStream) else item.joint_names
-    known = set(names) & set(model.joint_names)
-    return names if known else model.joint_names
+    return names if set(names) & set(model.joint_names) else model.joint_names
 
 
 def _held_at(item: Recorded | None, joint: str, value: float | None) -> float | None:

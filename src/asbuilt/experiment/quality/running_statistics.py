@@ -73,12 +73,10 @@ class Exceedance:
 class PositionMoments:
     """Hold first and second moments of complete samples of positions, about the first of them.
 
-    `low`, `high`, `about` and `total` are (n,), `products` (n, n).
+    `about` and `total` are (n,), `products` (n, n).
     """
 
     n_samples: int
-    low: Array
-    high: Array
     about: Array
     total: Array
     products: Array
@@ -86,8 +84,7 @@ class PositionMoments:
     @classmethod
     def none(cls, n: int) -> PositionMoments:
         """Return the moments of no sample."""
-        infinite = np.full(n, np.inf)
-        return cls(0, infinite, -infinite, np.zeros(n), np.zeros(n), np.zeros((n, n)))
+        return cls(0, np.zeros(n), np.zeros(n), np.zeros((n, n)))
 
     def with_more(self, q: Array) -> PositionMoments:
         """Include further positions (N, n); rows with a value that is not finite do not count."""
@@ -98,8 +95,6 @@ class PositionMoments:
         apart = complete - about
         return PositionMoments(
             self.n_samples + len(complete),
-            np.minimum(self.low, complete.min(axis=0)),
-            np.maximum(self.high, complete.max(axis=0)),
             about,
             self.total + apart.sum(axis=0),
             self.products + apart.T @ apart,
@@ -108,7 +103,7 @@ class PositionMoments:
     @property
     def moving(self) -> list[int]:
         """Joints whose position varies."""
-        return [int(k) for k in np.flatnonzero(self.high > self.low)]
+        return [int(k) for k in np.flatnonzero(np.diag(self.products) > 0.0)]
 
     def correlations(self, joints: list[int]) -> Array:
         """Return the correlation coefficients of the positions of joints that move."""

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.free_motion import FreeMotion
+from asbuilt.experiment.virtual.simulation import FreeMotion
 from asbuilt.tables import shortened
 from asbuilt.workflow.watching.watched_log import WatchedLog, torque_unit
 from asbuilt.writers.figures.figure_style import (

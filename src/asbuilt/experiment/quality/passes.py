@@ -1,9 +1,9 @@
-"""First pass over a recording: statistics of every sample, chunk by chunk."""
+"""Two passes over a recording: statistics of every sample, then segments and torque extremes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from asbuilt.arrays import Array, Indices, Mask, any_of
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.quality.running_statistics import Exceedance, Extremes, PositionMoments
-from asbuilt.experiment.recording import Recording, TorqueSource, median_rate, time_span
+from asbuilt.experiment.recording import Recording, median_rate, time_span
 from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure
 
@@ -42,10 +42,8 @@ class FirstPass:
 
     Parameters
     ----------
-    first_torque
-        Torque of each joint in the first sample as logged, shape (n,).
-    stiffness_unknown
-        Whether the torques are control errors of a servo whose stiffness is to be identified.
+    first
+        The first chunk as logged, its joints in the order of the model.
     t
         Times [s], shape (N,).
     not_repeated
@@ -62,19 +60,12 @@ class FirstPass:
         Moments of the positions.
     spikes
         Single torques that stand out from their neighbours.
-    has_torque
-        Which joints have a usable torque channel, shape (n,).
     outside_limits, saturated
         Positions outside the limits of the model, and torques that reach theirs.
     """
 
-    source: str
-    joint_names: tuple[str, ...]
-    torque_source: TorqueSource
-    notes: tuple[str, ...]
+    first: Recording
     n_chunks: int
-    first_torque: Array
-    stiffness_unknown: bool
     t: Array
     not_repeated: Mask
     valid_torque: Mask
@@ -85,7 +76,6 @@ class FirstPass:
     outside_limits: Exceedance
     torque_range: Extremes
     saturated: Exceedance
-    has_torque: Mask
     spikes: tuple[Spikes, ...] = ()
 
     @property
@@ -96,7 +86,7 @@ class FirstPass:
     @property
     def n_joints(self) -> int:
         """Number of joints."""
-        return len(self.joint_names)
+        return self.first.n_joints
 
     @property
     def rate(self) -> float:
@@ -126,16 +116,13 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
     first = last = None
     begin = 0
-    has_torque, first_torque = np.ones(n, dtype=np.bool_), np.zeros(n)
     for logged in chunks:
         chunk = as_modelled(model, logged)
-        if first is None:
-            has_torque, first_torque = chunk.has_torque, chunk.tau[0]
-        chunk = chunk.with_torque_of(has_torque)
+        first = first or chunk
+        chunk = chunk.with_torque_of(first.has_torque)
         not_repeated = _not_repeated(chunk, last)
         missing += _missing(chunk, begin)
         last, chunk = chunk, credible(chunk)
-        first = first or chunk
         q, tau = chunk.q, chunk.tau
         valid_torque = np.isfinite(chunk.t) & ~any_of(~np.isfinite(tau))
         valid = valid_torque & ~any_of(~np.isfinite(q))
@@ -159,13 +146,8 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         raise RecordingError("the recording holds no samples")
     not_repeated, valid_torque, valid = np.concatenate(flags, axis=1)
     return FirstPass(
-        source=first.source,
-        joint_names=first.joint_names,
-        torque_source=first.torque_source,
-        notes=first.notes,
+        first=first,
         n_chunks=len(times),
-        first_torque=first_torque,
-        stiffness_unknown=first.servo is not None and bool(np.any(np.isnan(first.servo.kp))),
         t=np.concatenate(times),
         not_repeated=not_repeated,
         valid_torque=valid_torque,
@@ -176,7 +158,6 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
         outside_limits=outside,
         torque_range=torques,
         saturated=saturated,
-        has_torque=has_torque,
         spikes=tuple(spikes),
     )
 
@@ -283,3 +264,105 @@ def _merged(missing: list[Missing]) -> tuple[Missing, ...]:
         replace(parts[0], rows=np.concatenate([part.rows for part in parts]))
         for _, parts in sorted(found.items(), key=lambda item: item[0])
     )
+
+
+_NEAR = 0.05
+"""Distance from an extreme, as a share of the torque range, that counts as near it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plateau:
+    """Hold how often a torque is at one of its extremes, and how often near it.
+
+    `places` are indices among the torques that are not repeated; `near` are the different values
+    near the extreme.
+    """
+
+    extreme: float
+    width: float
+    places: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    n_near: int = 0
+    near: Array = field(default_factory=lambda: np.zeros(0))
+
+    def with_more(self, values: Array, begin: int) -> Plateau:
+        """Include further torques (N,), the first of which has the index `begin`."""
+        near = values[np.abs(values - self.extreme) < self.width]
+        places = begin + np.flatnonzero(values == self.extreme)
+        return replace(
+            self,
+            places=np.append(self.places, places),
+            n_near=self.n_near + near.size,
+            near=np.union1d(self.near, near) if near.size else self.near,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SecondPass:
+    """Hold the samples of chosen segments, the torques for spectra, and the plateaus of each joint.
+
+    A joint whose torque hardly varies has no plateaus, others one at each extreme.
+    """
+
+    segments: tuple[Recording, ...]
+    torques: tuple[Array, ...]
+    plateaus: tuple[tuple[Plateau, ...], ...]
+
+
+def second_pass(
+    model: RobotModel, chunks: Iterable[Recording], known: FirstPass, rows: Sequence[Indices]
+) -> SecondPass:
+    """Read the chunks again for segments of consecutive `rows` and for torques at their extremes.
+
+    The torques for spectra are all of those of one chunk, else those of the segments.
+    """
+    plateaus = [_plateaus(known, k) for k in range(known.n_joints)]
+    parts: list[list[Recording]] = [[] for _ in rows]
+    torques: list[Array] = []
+    begin = place = 0
+    for logged in chunks:
+        chunk = credible(as_modelled(model, logged).with_torque_of(known.first.has_torque))
+        stop = begin + chunk.n_samples
+        changed = chunk.tau[known.not_repeated[begin:stop]]
+        plateaus = [
+            tuple(each.with_more(changed[:, k], place) for each in both)
+            for k, both in enumerate(plateaus)
+        ]
+        for wanted, part in zip(rows, parts, strict=True):
+            here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
+            if here.size:
+                part.append(_copied(chunk, here - begin))
+        if known.n_chunks == 1:
+            torques.append(chunk.tau[known.valid_torque])
+        begin, place = stop, place + len(changed)
+    segments = tuple(_joined(part) for part in parts)
+    return SecondPass(
+        segments, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
+    )
+
+
+def _plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
+    low, high = float(known.torque_range.low[joint]), float(known.torque_range.high[joint])
+    # Number of torques that are not repeated below which there is no plateau.
+    if known.torque_range.count[joint] < 20 or high == low:
+        return ()
+    return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))
+
+
+def _copied(chunk: Recording, rows: Indices) -> Recording:
+    return Recording(
+        t=chunk.t[rows],
+        q=chunk.q[rows],
+        tau=chunk.tau[rows],
+        qd=None if chunk.qd is None else chunk.qd[rows],
+        joint_names=chunk.joint_names,
+        source=chunk.source,
+    )
+
+
+def _joined(parts: Sequence[Recording]) -> Recording:
+    t, q, tau = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "tau")
+    )
+    logged = [part.qd for part in parts if part.qd is not None]
+    qd = np.concatenate(logged) if len(logged) == len(parts) else None
+    return replace(parts[0], t=t, q=q, tau=tau, qd=qd)

@@ -1,7 +1,8 @@
-"""LeRobot datasets (v2 and v3): folders of Parquet files with lists, described by a JSON file."""
+"""Logs of robot learning: LeRobot datasets (v2 and v3) and motions of SAGE."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,12 @@ from asbuilt.description.joint_matching import names_gripper
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
-from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogTable,
+    table_of_joints,
+)
 from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
 from asbuilt.findings import Cure
 from asbuilt.untrusted import check_regular, parsed_json, reason, shortened
@@ -44,29 +50,24 @@ def read_lerobot(path: Path) -> LogTable:
         raise RecordingError(
             f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
         )
-    columns: dict[str, Array] = {"time": _times(path, frame, info)}
-    known: dict[str, tuple[str, str]] = {}
-    left_out: list[str] = []
-    for field in (each for each in (STATE, ACTION) if each in frame):
+    groups, left_out = list[tuple[str, str, Sequence[str], Array]](), list[str]()
+    for field, quantity in ((STATE, "position"), (ACTION, "command")):
+        if field not in frame:
+            continue
         cells = _lists(path, field, frame[field])
         names = _names(path, info, field, cells)
         values = _matrix(path, field, cells, len(names))
-        quantity = "position" if field == STATE else "command"
-        for k, name in enumerate(names):
-            if name.endswith(OTHERS):
-                left_out.append(f"{field} {name}")
-                continue
-            joint = name.removesuffix(".pos").removeprefix("main_")
-            column = f"{joint}/{quantity}"
-            columns[column] = np.ascontiguousarray(values[:, k])
-            known[column] = (quantity, joint)
+        kept = [k for k, name in enumerate(names) if not name.endswith(OTHERS)]
+        joints = [names[k].removesuffix(".pos").removeprefix("main_") for k in kept]
+        left_out += [f"{field} {name}" for name in names if name.endswith(OTHERS)]
+        groups.append((quantity, quantity, joints, values[:, kept]))
     notes = [
         "LeRobot datasets do not say their unit, degrees or -100 to 100 of the calibrated range:"
         " it was taken from the recording sheet"
     ]
     if left_out:
         notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
-    return LogTable(source=str(path), columns=columns, known=known, notes=tuple(notes))
+    return table_of_joints(str(path), _times(path, frame, info), groups, notes)
 
 
 def is_lerobot(path: Path) -> bool:
@@ -108,8 +109,7 @@ def _names(
     path: Path, info: Mapping[str, Any], field: str, cells: Sequence[Any]
 ) -> tuple[str, ...]:
     """Return the names of the numbers of a feature."""
-    feature = info["features"].get(field, {})
-    names = feature.get("names")
+    names = info["features"].get(field, {}).get("names")
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -209,5 +209,92 @@ FORMATS.register(
         read=lambda path, sheet: _with_unit(read_isolated(read_lerobot, path), path, sheet),
         folders=True,
         recognises=is_lerobot,
+    ),
+)
+
+
+COMMANDS, STATES, NAMES = "control.csv", "state_motor.csv", "joint_list.txt"
+MICROSECOND = 1e-6
+QUANTITIES = {"positions": "position", "velocities": "velocity", "torques": "torque"}
+
+
+def read_sage(path: Path) -> LogTable:
+    """Read a motion that SAGE logged (isaac-sim2real/sage): lists in cells, times in microseconds.
+
+    The command at the time of a state is the last one sent until then.
+
+    Raises
+    ------
+    RecordingError
+        If a file is missing or damaged, or its lists are not one number per joint.
+    """
+    names = _joint_names(path / NAMES)
+    t, states = _listed_cells(path / STATES, tuple(QUANTITIES), len(names))
+    sent, commands = _listed_cells(path / COMMANDS, ("positions",), len(names))
+    last = np.searchsorted(sent, t, side="right") - 1
+    before = int(np.count_nonzero(last < 0))
+    groups = {QUANTITIES[field]: values for field, values in states.items()}
+    groups["command"] = commands["positions"][np.maximum(last, 0)]
+    listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
+    notes = (f"{before} states before the first command count as commanded like it",)
+    return table_of_joints(str(path), t * MICROSECOND, listed, notes if before else ())
+
+
+def is_sage(path: Path) -> bool:
+    """Return whether a folder is a motion of SAGE."""
+    return all((path / name).is_file() for name in (COMMANDS, STATES, NAMES))
+
+
+def _joint_names(path: Path) -> tuple[str, ...]:
+    check_regular(path, "recording", RecordingError, LARGEST)
+    names = tuple(line.strip() for line in path.read_text("utf-8", "replace").splitlines())
+    names = tuple(name for name in names if name)
+    if not names:
+        raise RecordingError(f"{path} names no joint", file=str(path))
+    return names
+
+
+def _listed_cells(
+    path: Path, fields: tuple[str, ...], n_joints: int
+) -> tuple[Array, dict[str, Array]]:
+    """Return the times and the lists (N, n) of the fields that a file has."""
+    check_regular(path, "recording", RecordingError, LARGEST)
+    try:
+        frame = pl.read_csv(path, infer_schema=False)
+        t = frame["timestamp"].cast(pl.Float64).to_numpy()
+        return t, {
+            name: _numbers(path, name, frame[name].to_list(), n_joints)
+            for name in fields
+            if name in frame.columns
+        }
+    except (pl.exceptions.PolarsError, ValueError, TypeError) as error:
+        raise RecordingError(
+            f"{path} is not a recording of SAGE ({reason(error)})",
+            cure=Cure("export the motion again"),
+            file=str(path),
+        ) from error
+
+
+def _numbers(path: Path, field: str, cells: list[str | None], n_joints: int) -> Array:
+    values = json.loads(f"[{','.join(cell or 'null' for cell in cells)}]")
+    for row, cell in enumerate(values):
+        if not isinstance(cell, list) or len(cell) != n_joints:
+            raise RecordingError(
+                f"{path}: {field} in data row {row + 1} is {str(cell)[:60]}; expected a list of"
+                f" {n_joints} numbers",
+                file=str(path),
+                value=row + 1,
+                expected=n_joints,
+            )
+    return np.array(values, dtype=np.float64).reshape(len(cells), n_joints)
+
+
+FORMATS.register(
+    "sage",
+    LogFormat(
+        suffixes=(),
+        read=lambda path, sheet: with_open_grippers(read_isolated(read_sage, path)),
+        folders=True,
+        recognises=is_sage,
     ),
 )

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from asbuilt.description import load
 from asbuilt.description.load import load_robot
-from asbuilt.description.robots import published
 from asbuilt.errors import DescriptionError, MissingExtraError
 
 URDF = """<robot name="one"><link name="a"/><link name="b"><inertial><mass value="1"/>
@@ -33,7 +33,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     location = spec_from_file_location(
         "robot_descriptions", folder / "__init__.py", submodule_search_locations=[str(folder)]
     )
-    monkeypatch.setattr(published, "find_spec", lambda name: location)
+    monkeypatch.setattr(load, "find_spec", lambda name: location)
     return folder
 
 
@@ -55,6 +55,6 @@ def test_what_is_not_there_is_one_error(package: Path, name: str, message: str) 
 
 
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(published, "find_spec", lambda name: None)
+    monkeypatch.setattr(load, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="robot_descriptions"):
         load_robot("panda_description")
