@@ -232,7 +232,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
     },
     "Complete runs": {
         "open": Entry(
-            "page.command",
+            "page.server",
             "Open a page in the browser: from files to a trusted model.",
             ("", "my_robot.urdf log.csv --no-browser"),
             "",
@@ -285,13 +285,13 @@ SUBCOMMANDS: dict[str, dict[str, Entry]] = {
             "fleet_identify",
         ),
         "drift": Entry(
-            "fleet_drift",
+            "fleet",
             "Find the robots that changed: when, what and how large.",
             ("ledger", "ledger --since 2026-03-01 --json"),
-            "fleet_drift",
+            "fleet",
         ),
         "report": Entry(
-            "fleet_drift",
+            "fleet",
             "Write a page of each robot's history, those that changed first.",
             ("ledger --out page", "ledger --since 2026-03-01 -o page"),
             "write_fleet_report",

@@ -89,7 +89,7 @@ def identify(
             model, reading, log, validate, payload
         )
         from asbuilt.writers.reports.study_files import study_document, study_text, write_study
-        from asbuilt.writers.timelines.timeline import timelines_of_validations
+        from asbuilt.writers.timelines.timeline_files import timelines_of_validations
 
         study = asbuilt.identify(
             model,
@@ -221,7 +221,7 @@ def validate(
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import validate_document
-    from asbuilt.writers.timelines.timeline import timelines_of_validations
+    from asbuilt.writers.timelines.timeline_files import timelines_of_validations
 
     validations = asbuilt.validate(identified, logged, options=options)
     with shared_work(workers, scheduler) as shared:

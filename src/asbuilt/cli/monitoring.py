@@ -61,7 +61,7 @@ def watch(
         logged = recordings_of(identified.model, [log], reading)[0]
         quiet = recordings_of(identified.model, calibrate, reading)
         from asbuilt.writers.reports.watch_files import watch_document, write_watched
-        from asbuilt.writers.timelines.timeline import timeline_of_watched
+        from asbuilt.writers.timelines.timeline_files import timeline_of_watched
 
         watched = asbuilt.watch(
             identified,

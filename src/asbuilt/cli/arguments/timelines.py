@@ -12,7 +12,7 @@ import typer
 from asbuilt.cli.arguments.options import writable_file
 
 if TYPE_CHECKING:
-    from asbuilt.writers.timelines.timeline import Timeline
+    from asbuilt.writers.timelines.timeline_files import Timeline
 
 
 @dataclass(frozen=True)

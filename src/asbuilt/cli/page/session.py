@@ -12,7 +12,7 @@ from typing import Any
 
 from asbuilt import Cure, ReadingOptions, StudyOptions, UsageError, robot_names
 from asbuilt.cli.arguments.spread import option_name
-from asbuilt.cli.page.sheet import write_sheet
+from asbuilt.cli.page.columns import write_sheet
 from asbuilt.cli.page.worker import Worker
 from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.identification.effects.wanted import TILT

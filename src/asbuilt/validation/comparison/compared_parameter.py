@@ -22,7 +22,7 @@ from asbuilt.tables import (
     share,
     significant,
 )
-from asbuilt.validation.comparison.torque_cost import MATTERS
+from asbuilt.validation.comparison.torque_change import MATTERS
 
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
 

@@ -26,8 +26,7 @@ from asbuilt.validation.comparison.significance import (
     benjamini_hochberg,
     holm,
 )
-from asbuilt.validation.comparison.torque_change import torque_error_table
-from asbuilt.validation.comparison.torque_cost import torque_cost
+from asbuilt.validation.comparison.torque_change import torque_cost, torque_error_table
 from asbuilt.validation.prediction import Validation, cad_values, torque_units
 
 if TYPE_CHECKING:

@@ -42,9 +42,9 @@ from asbuilt.validation.comparison.torque_change import (
     JointChange,
     joint_changes,
     joint_table,
+    torque_cost,
     torque_sentence,
 )
-from asbuilt.validation.comparison.torque_cost import torque_cost
 from asbuilt.validation.prediction import cad_values, torque_units
 
 if TYPE_CHECKING:

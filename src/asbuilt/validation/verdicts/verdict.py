@@ -19,8 +19,7 @@ from asbuilt.tables import share, significant
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.reasons import Reason, is_untested, reasons_against
-from asbuilt.validation.verdicts.rules import RULES
+from asbuilt.validation.verdicts.reasons import RULES, Reason, is_untested, reasons_against
 from asbuilt.validation.verdicts.verdict_error import (
     Measure,
     VerdictError,

@@ -31,8 +31,7 @@ from asbuilt.writers.models.as_built import (
 )
 from asbuilt.writers.models.c.c_code import write_c
 from asbuilt.writers.models.c.c_observer import observer_code
-from asbuilt.writers.models.elastic_joints import elastic_mjcf, with_rotors_described
-from asbuilt.writers.models.mjcf import write_mjcf
+from asbuilt.writers.models.mjcf import elastic_mjcf, with_rotors_described, write_mjcf
 from asbuilt.writers.models.physical import (
     refuse_inconsistent_result,
     refuse_poor_nearest_model,
