@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from asbuilt import writers
 from asbuilt.cli.arguments.spread import option_name
 from asbuilt.cli.commands import EVERY_COMMAND
 from asbuilt.findings import Cure
@@ -197,10 +198,9 @@ def listed_files(
     """Return the lines that name the files written and their notes; empty if there are none."""
     if not files:
         return ""
-    from asbuilt.writers.files import file_lines
 
     width = max(11, *(len(kind) for kind in files))
-    return "\n".join(["", "", "written:", *file_lines(files, notes or {}, width)])
+    return "\n".join(["", "", "written:", *writers.file_lines(files, notes or {}, width)])
 
 
 def brief_files(files: Mapping[str, Path], following: str) -> str:

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import asbuilt
-from asbuilt import FleetIdentification, FleetOptions, ReadingOptions, StudyOptions, UsageError
+from asbuilt import (
+    FleetIdentification,
+    FleetOptions,
+    ReadingOptions,
+    StudyOptions,
+    UsageError,
+    writers,
+)
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -111,12 +118,10 @@ def add(
 
 def _answer_addition(done: Addition, full: bool, as_json: bool) -> None:
     """Print what was added; logs that failed are the exit status."""
-    from asbuilt.writers.tables.fleet_tables import addition_document, addition_text
-
     answer(
         as_json,
-        lambda: addition_document(done),
-        lambda: addition_text(done, finding_text, cure_text, full=full),
+        lambda: writers.addition_document(done),
+        lambda: writers.addition_text(done, finding_text, cure_text, full=full),
     )
     if done.failed:
         raise typer.Exit(FAILED)
@@ -167,10 +172,9 @@ def show(
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
     opened = asbuilt.open_ledger(ledger)
-    from asbuilt.writers.tables.fleet_tables import overview_text
 
     seen = asbuilt.fleet_overview(opened, thorough=thorough)
-    answer(as_json, seen.as_document, lambda: overview_text(seen, finding_text, full=full))
+    answer(as_json, seen.as_document, lambda: writers.overview_text(seen, finding_text, full=full))
 
 
 def identify(
@@ -191,19 +195,16 @@ def identify(
     """
     opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.reports.study_files import (
-        study_document,
-        study_text,
-        write_study,
-    )
 
     first, last = (None if text is None else parse_date(text) for text in (since, until))
     study = asbuilt.fleet_identify(opened, id, since=first, until=last, options=options)
-    files, notes = write_study(out, study) if out is not None else ({}, {})
+    files, notes = writers.write_study(out, study) if out is not None else ({}, {})
     answer(
         as_json,
-        lambda: study_document(study, files, notes) | {"id": id},
-        lambda: study_text(study, full=full, cure_text=cure_text) + listed_files(files, notes),
+        lambda: writers.study_document(study, files, notes) | {"id": id},
+        lambda: (
+            writers.study_text(study, full=full, cure_text=cure_text) + listed_files(files, notes)
+        ),
     )
 
 
@@ -238,12 +239,11 @@ def drift(
     """
     opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.tables.fleet_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as report:
         found = asbuilt.fleet_drift(opened, since=first, options=options, progress=report)
-    answer(as_json, found.as_document, lambda: drift_text(found, finding_text, full=full))
+    answer(as_json, found.as_document, lambda: writers.drift_text(found, finding_text, full=full))
 
 
 def report(
@@ -266,7 +266,6 @@ def report(
     """
     opened = asbuilt.open_ledger(ledger)
     from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.tables.fleet_tables import drift_text
 
     first = None if since is None else parse_date(since)
     with progress_bar() as tell:
@@ -275,5 +274,5 @@ def report(
     answer(
         as_json,
         lambda: found.as_document() | {"files": {"report": str(files["report"])}},
-        lambda: drift_text(found, finding_text, full=full) + listed_files(files),
+        lambda: writers.drift_text(found, finding_text, full=full) + listed_files(files),
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, UsageError
+from asbuilt import ReadingOptions, UsageError, writers
 from asbuilt.cli.answers import answer, brief_files, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -88,8 +88,6 @@ def identify(
         model, (recordings, others, loaded) = robot_and_recordings(
             model, reading, log, validate, payload
         )
-        from asbuilt.writers.reports.study_files import study_document, study_text, write_study
-        from asbuilt.writers.timelines.timeline_files import timelines_of_validations
 
         study = asbuilt.identify(
             model,
@@ -105,12 +103,12 @@ def identify(
             under_load = PayloadOptions(chain=chain, holdout=held, checked=options.checked)
             carried = asbuilt.identify_payload(study.result, loaded, options=under_load)
         files, notes = (
-            write_study(out, study, payload=carried, command=sys.argv[1:])
+            writers.write_study(out, study, payload=carried, command=sys.argv[1:])
             if out is not None
             else ({}, {})
         )
         files |= timelines.write(
-            lambda: timelines_of_validations(
+            lambda: writers.timelines_of_validations(
                 study.result.model,
                 study.validations or study.training,
                 [*recordings, *others],
@@ -119,9 +117,9 @@ def identify(
         )
     answer(
         as_json,
-        lambda: study_document(study, files, notes, carried),
+        lambda: writers.study_document(study, files, notes, carried),
         lambda: (
-            study_text(study, carried, full=full, cure_text=cure_text)
+            writers.study_text(study, carried, full=full, cure_text=cure_text)
             + (
                 listed_files(files, notes)
                 if full
@@ -217,29 +215,25 @@ def validate(
     logged = recordings_of(identified.model, log, reading)
     from asbuilt.validation.generalisation.cad_verdict import cad_verdict
     from asbuilt.workflow.validation import validation_verdict
-    from asbuilt.writers.reports.rollout_page import write_rollouts
-    from asbuilt.writers.reports.study_files import write_validations
-    from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
-    from asbuilt.writers.tables.tabular import validate_document
-    from asbuilt.writers.timelines.timeline_files import timelines_of_validations
 
     validations = asbuilt.validate(identified, logged, options=options)
     with shared_work(workers, scheduler) as shared:
         simulated = asbuilt.roll_out_result(
             identified, logged, options.rollout, options=options, workers=shared
         )
-    files = write_validations(out, identified, validations) if out is not None else {}
-    files |= write_rollouts(identified.model, simulated, out, animation)
+    files = writers.write_validations(out, identified, validations) if out is not None else {}
+    files |= writers.write_rollouts(identified.model, simulated, out, animation)
     files |= timelines.write(
-        lambda: timelines_of_validations(identified.model, validations, logged)
+        lambda: writers.timelines_of_validations(identified.model, validations, logged)
     )
     comparison = asbuilt.compare(identified, validation=validations)
     verdicts = [cad_verdict(validation) for validation in validations]
     found = validation_verdict(identified, logged, validations, simulated)
     answer(
         as_json,
-        lambda: with_rollouts(
-            validate_document(identified, validations, files=files, verdict=found), simulated
+        lambda: writers.with_rollouts(
+            writers.validate_document(identified, validations, files=files, verdict=found),
+            simulated,
         ),
         lambda: (
             wrapped(found.text)
@@ -250,7 +244,7 @@ def validate(
             + "\n"
             + wrapped(comparison.verdict())
             + ("\n" if simulated else "")
-            + rollout_text(identified.model, simulated, full=full, cure_text=cure_text)
+            + writers.rollout_text(identified.model, simulated, full=full, cure_text=cure_text)
             + listed_files(files)
         ),
     )
@@ -277,25 +271,20 @@ def _validate_described(
             " the table, and a page of its rollouts (--rollout)"
         )
     model, (logged,) = robot_and_recordings(described_robot(robot, **reading.of_base), reading, log)
-    from asbuilt.writers.files import path_texts
-    from asbuilt.writers.reports.rollout_page import write_rollouts
-    from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
-    from asbuilt.writers.tables.tabular import described_document, described_torque_table
 
     errors = asbuilt.validate_robot(model, logged, options=options)
     simulated = asbuilt.roll_out_robot(
         model, logged, options.rollout, options=options, workers=workers
     )
-    files = write_rollouts(model, simulated, out, animation)
+    files = writers.write_rollouts(model, simulated, out, animation)
     answer(
         as_json,
-        lambda: (
-            with_rollouts(described_document(model, errors), simulated)
-            | ({"files": path_texts(files)} if files else {})
+        lambda: writers.with_files(
+            writers.with_rollouts(writers.described_document(model, errors), simulated), files
         ),
         lambda: (
-            described_torque_table(model, errors).as_text(full)
-            + rollout_text(model, simulated, full=full, cure_text=cure_text)
+            writers.described_torque_table(model, errors).as_text(full)
+            + writers.rollout_text(model, simulated, full=full, cure_text=cure_text)
             + (listed_files(files) if files else "")
         ),
     )
@@ -372,12 +361,6 @@ def compare(
     )
     from asbuilt.identification.result.determination import determination
     from asbuilt.validation.comparison.cad_tolerance import CadTolerance
-    from asbuilt.writers.reports.compare_files import (
-        CadVerdict,
-        with_files,
-        write_comparison,
-        write_drift,
-    )
 
     drift: Drift | ControllerComparison | None = None
     if other is not None:
@@ -387,10 +370,10 @@ def compare(
         judged = ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked)
         drift = asbuilt.compare_controller(identified, recording, options=judged)
     if drift is not None:
-        files = write_drift(out, drift) if out is not None else {}
+        files = writers.write_drift(out, drift) if out is not None else {}
         answer(
             as_json,
-            lambda: with_files(drift.as_document(), files),
+            lambda: writers.with_files(drift.as_document(), files),
             lambda: drift.as_text(full) + listed_files(files),
         )
         return
@@ -398,7 +381,7 @@ def compare(
     if design is not None:
         held = identified.model.locked_joints.items()
         design = design.locked({name: at for name, at in held if name in design.joint_names})
-    verdict = CadVerdict(
+    verdict = writers.CadVerdict(
         asbuilt.compare(
             identified,
             design,
@@ -409,9 +392,9 @@ def compare(
         else None,
         determination(identified),
     )
-    files = write_comparison(out, identified, verdict) if out is not None else {}
+    files = writers.write_comparison(out, identified, verdict) if out is not None else {}
     answer(
         as_json,
-        lambda: with_files(verdict.as_document(), files),
+        lambda: writers.with_files(verdict.as_document(), files),
         lambda: verdict.as_text(full) + listed_files(files),
     )

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import asbuilt
+from asbuilt import writers
 from asbuilt.cli.answers import answer, finding_text, listed_files
 from asbuilt.cli.arguments.options import AsJson, Full, Robot, described_robot, writable_file
 from asbuilt.cli.arguments.spread import one_of
@@ -63,9 +64,6 @@ def masses(
     materials and table, each link keeps its mass, spread evenly over its geometry.
     """
     from asbuilt.tables import wrapped
-    from asbuilt.writers.files import path_texts
-    from asbuilt.writers.models.convert import write_masses
-    from asbuilt.writers.tables.mass_tables import masses_document, masses_table
 
     densities = _by_link("--density", density)
     found = asbuilt.link_masses(
@@ -82,7 +80,7 @@ def masses(
     )
     files, notes = {}, {}
     if out is not None:
-        files["robot"], said = write_masses(out, found)
+        files["robot"], said = writers.write_masses(out, found)
         notes["robot"] = said
     shown = found.findings if full else found.findings[:10]
     lines = [wrapped(finding_text(finding)) for finding in shown]
@@ -90,8 +88,11 @@ def masses(
         lines.append(f"{len(found.findings) - len(shown)} more findings: --full")
     answer(
         as_json,
-        lambda: {**masses_document(found), "files": path_texts(files)},
-        lambda: "\n".join([masses_table(found).as_text(full), *lines]) + listed_files(files, notes),
+        lambda: writers.with_files(writers.masses_document(found), files),
+        lambda: (
+            "\n".join([writers.masses_table(found).as_text(full), *lines])
+            + listed_files(files, notes)
+        ),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, UsageError, WatchOptions
+from asbuilt import ReadingOptions, UsageError, WatchOptions, writers
 from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar, wrapped
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -60,8 +60,6 @@ def watch(
         report("read", 0.0)
         logged = recordings_of(identified.model, [log], reading)[0]
         quiet = recordings_of(identified.model, calibrate, reading)
-        from asbuilt.writers.reports.watch_files import watch_document, write_watched
-        from asbuilt.writers.timelines.timeline_files import timeline_of_watched
 
         watched = asbuilt.watch(
             identified,
@@ -71,11 +69,13 @@ def watch(
             options=options,
             progress=report,
         )
-        files = write_watched(out, watched) if out is not None else {}
-        files |= timelines.write(lambda: [timeline_of_watched(identified.model, watched, logged)])
+        files = writers.write_watched(out, watched) if out is not None else {}
+        files |= timelines.write(
+            lambda: [writers.timeline_of_watched(identified.model, watched, logged)]
+        )
     said = "".join(wrapped(finding_text(each)) + "\n" for each in watched.findings)
     answer(
         as_json,
-        lambda: watch_document(watched, files),
+        lambda: writers.with_files(watched.as_document(), files),
         lambda: watched.as_text(full) + ("\n" + said if said else "") + listed_files(files),
     )

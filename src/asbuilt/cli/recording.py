@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, UsageError
+from asbuilt import ReadingOptions, UsageError, writers
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -60,24 +60,18 @@ def check(
         described_robot(robot, **reading.of_base), reading, log
     )
     from asbuilt.workflow.information_efficiency import recorded_information
-    from asbuilt.writers.files import path_texts
-    from asbuilt.writers.tables.tabular import check_document
 
     checks = [asbuilt.check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
     ]
-    files = {}
+    document, files = writers.check_document(model, checks, carried), {}
     if out is not None:
-        from asbuilt.writers.reports.watch_files import write_check_page
-
-        files = write_check_page(out, recordings, checks, finding_text)
+        files = writers.write_check_page(out, recordings, checks, finding_text)
     answer(
         as_json,
-        lambda: (
-            check_document(model, checks, carried) | ({"files": path_texts(files)} if files else {})
-        ),
+        lambda: writers.with_files(document, files) if files else document,
         lambda: (
             "\n\n".join(
                 found.as_text(full=full, cure_text=cure_text)
@@ -214,11 +208,6 @@ def simulate(
         raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     from asbuilt.experiment.virtual.settings import with_settings
     from asbuilt.identification.calibration.payload import payload_frame
-    from asbuilt.writers.recording_files import (
-        simulate_document,
-        simulation_text,
-        write_simulation,
-    )
 
     place = None if carried is None else payload_frame(model, at)[0]
     if free is not None:
@@ -248,11 +237,11 @@ def simulate(
     virtual = with_settings(virtual.logging(rate), settings or ())
     with progress_bar() as report:
         simulated = virtual.record(moved, seed, progress=lambda fraction: report("move", fraction))
-    files = write_simulation(out or Path("recording.csv"), simulated)
+    files = writers.write_simulation(out or Path("recording.csv"), simulated)
     answer(
         as_json,
-        lambda: simulate_document(simulated, files),
-        lambda: simulation_text(simulated) + listed_files(files),
+        lambda: writers.simulate_document(simulated, files),
+        lambda: writers.simulation_text(simulated) + listed_files(files),
     )
 
 
@@ -279,11 +268,6 @@ def _simulate_free(
     as_json: bool,
 ) -> None:
     from asbuilt.experiment.virtual.bodies import with_body
-    from asbuilt.writers.recording_files import (
-        free_motion_document,
-        free_motion_text,
-        write_free_motion,
-    )
 
     moved = asbuilt.run_free(
         model if tool is None else with_body(model, tool, place),
@@ -291,9 +275,9 @@ def _simulate_free(
         duration=3.0 if duration is None else duration,
         start=number_list("--start", start) or None,
     )
-    files = write_free_motion(out or Path("free.csv"), moved)
+    files = writers.write_free_motion(out or Path("free.csv"), moved)
     answer(
         as_json,
-        lambda: free_motion_document(moved, files),
-        lambda: free_motion_text(moved) + listed_files(files),
+        lambda: writers.free_motion_document(moved, files),
+        lambda: writers.free_motion_text(moved) + listed_files(files),
     )

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, StudyOptions
+from asbuilt import ReadingOptions, StudyOptions, writers
 from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -58,7 +58,6 @@ def review(
         model, (recordings,) = robot_and_recordings(model, reading, log)
         from asbuilt.validation.comparison.cad_tolerance import CadTolerance
         from asbuilt.validation.review.review import PLAUSIBLE
-        from asbuilt.writers.reports.review_files import review_text, with_files, write_review
 
         tolerance = PLAUSIBLE if cad_tolerance is None else CadTolerance.parse(cad_tolerance)
         found = asbuilt.review(
@@ -68,12 +67,16 @@ def review(
             options=replace(options, chain=chain, sweep_cutoff=swept),
             progress=report,
         )
-        files = write_review(out, found) if out is not None else {}
+        files = writers.write_review(out, found) if out is not None else {}
     answer(
         as_json,
-        lambda: with_files(found, files),
         lambda: (
-            review_text(found, full=full, finding_text=finding_text).rstrip("\n")
+            writers.with_files(writers.review_document(found), files)
+            if files
+            else writers.review_document(found)
+        ),
+        lambda: (
+            writers.review_text(found, full=full, finding_text=finding_text).rstrip("\n")
             + listed_files(files)
         ),
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 import asbuilt
-from asbuilt import MotionError, ReadingOptions, RecordingError, UsageError
+from asbuilt import MotionError, ReadingOptions, RecordingError, UsageError, writers
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -46,17 +46,18 @@ if TYPE_CHECKING:
 def robots(full: Full = False, as_json: AsJson = False) -> None:
     """List the bundled robots."""
     from asbuilt.description.catalogue import bundled_robot, robot_names
-    from asbuilt.writers.tables.robot_tables import robots_document, robots_table
 
     models = [bundled_robot(name) for name in robot_names()]
-    answer(as_json, lambda: robots_document(models), lambda: robots_table(models).as_text(full))
+    answer(
+        as_json,
+        lambda: writers.robots_document(models),
+        lambda: writers.robots_table(models).as_text(full),
+    )
 
 
 def drives(full: Full = False, as_json: AsJson = False) -> None:
     """List the drive terms that --drive takes, with their options."""
-    from asbuilt.writers.tables.drive_tables import drives_document, drives_text
-
-    answer(as_json, drives_document, lambda: drives_text(full))
+    answer(as_json, writers.drives_document, lambda: writers.drives_text(full))
 
 
 def show(
@@ -71,13 +72,13 @@ def show(
 
     Of a result, those of the robot as built, masses of CAD beside them.
     """
-    from asbuilt.writers.tables.robot_tables import robot_document, robot_text
-
     if Path(robot).suffix.lower() != ".json":
         model = described_robot(
             robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
         )
-        answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
+        answer(
+            as_json, lambda: writers.robot_document(model), lambda: writers.robot_text(model, full)
+        )
         return
     refuse_idle(
         "the robot of a result is taken as it was identified",
@@ -88,16 +89,16 @@ def show(
         },
     )
     result = asbuilt.read_result(Path(robot))
-    from asbuilt.writers.models.as_built import as_built_model
-    from asbuilt.writers.tables.mass_tables import exported_masses, mass_table
 
-    model, masses = as_built_model(result), exported_masses(result)
+    model, masses = writers.as_built_model(result), writers.exported_masses(result)
     answer(
         as_json,
-        lambda: robot_document(model) | {"mass": None if masses is None else masses.as_dict()},
         lambda: (
-            ("" if masses is None else mass_table(masses).as_text(full) + "\n")
-            + robot_text(model, full)
+            writers.robot_document(model) | {"mass": None if masses is None else masses.as_dict()}
+        ),
+        lambda: (
+            ("" if masses is None else writers.mass_table(masses).as_text(full) + "\n")
+            + writers.robot_text(model, full)
         ),
     )
 
@@ -123,10 +124,9 @@ def schema(
     An editor then checks and completes it: its first line is `#:schema ./FILE`.
     """
     from asbuilt.codec import json_text
-    from asbuilt.writers.schemas import json_schema, write_schema
 
-    content = json_schema(kind)
-    files = {} if out is None else {"schema": write_schema(kind, out)}
+    content = writers.json_schema(kind)
+    files = {} if out is None else {"schema": writers.write_schema(kind, out)}
     text = listed_files(files) if files else json_text(content)
     answer(as_json, lambda: content, lambda: text)
 
@@ -146,21 +146,15 @@ def base(
     """
     from asbuilt.dynamics.drives.defaults import on_driven_joints
     from asbuilt.tables import stacked
-    from asbuilt.writers.tables.robot_tables import (
-        base_table,
-        identifiability_table,
-        standard_table,
-    )
-    from asbuilt.writers.tables.tabular import base_document
 
     model = described_robot(robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts)
     chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")
     found = asbuilt.find_base_parameters(model, on_driven_joints(model, chosen))
-    standard = standard_table if full else identifiability_table
+    standard = writers.standard_table if full else writers.identifiability_table
     answer(
         as_json,
-        lambda: base_document(found, model),
-        lambda: stacked((base_table(found, model), standard(found)), full),
+        lambda: writers.base_document(found, model),
+        lambda: stacked((writers.base_table(found, model), standard(found)), full),
     )
 
 
@@ -225,13 +219,11 @@ def view(
 
 def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> Motion:
     """Return the motion of a motion file, or of a recording in any format."""
-    from asbuilt.writers.pictures.motion_view import motion_of_recording
-
     options = replace(reading, fixed_base=False)
 
     def logged() -> Motion:
         (recording,) = asbuilt.as_recordings(model, path, options)
-        return motion_of_recording(cast("asbuilt.Recording | RecordingStream", recording))
+        return writers.motion_of_recording(cast("asbuilt.Recording | RecordingStream", recording))
 
     try:
         if path.suffix.lower() == ".csv" and not any(given_options(options).values()):

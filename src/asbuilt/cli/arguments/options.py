@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import asbuilt
+from asbuilt import writers
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 from asbuilt.ranges import Range, out_of_range
+from asbuilt.writing import check_replaceable, check_writable
 
 if TYPE_CHECKING:
     from asbuilt.executor import Workers
@@ -60,8 +62,6 @@ def writable_folder(folder: Path | None) -> Path | None:
 
     Raises `UsageError` before any work is done otherwise.
     """
-    from asbuilt.writers.files import check_writable
-
     if folder is not None:
         check_writable(folder)
     return folder
@@ -72,8 +72,6 @@ def writable_file(file: Path | None) -> Path | None:
 
     Raises `UsageError` before any work is done otherwise.
     """
-    from asbuilt.writing import check_replaceable
-
     if file is not None:
         writable_folder(file.parent)
         check_replaceable(file)
@@ -303,9 +301,8 @@ def robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotMode
     if Path(robot).suffix.lower() != ".json":
         return described_robot(robot, fixed_base=fixed_base)
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
-    from asbuilt.writers.models.as_built import as_built_model
 
-    return as_built_model(asbuilt.read_result(Path(robot)))
+    return writers.as_built_model(asbuilt.read_result(Path(robot)))
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:

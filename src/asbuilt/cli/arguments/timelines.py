@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asbuilt import writers
 from asbuilt.cli.arguments.options import writable_file
 
 if TYPE_CHECKING:
@@ -40,9 +41,7 @@ class TimelineFiles:
 
     def write(self, timelines: Callable[[], Sequence[Timeline]]) -> dict[str, Path]:
         """Write the files that are asked for, and return their paths by kind."""
-        from asbuilt.writers.timelines.timeline_files import write_mcap, write_rrd
-
-        writers = {"mcap": (self.mcap, write_mcap), "rrd": (self.rrd, write_rrd)}
+        writers = {"mcap": (self.mcap, writers.write_mcap), "rrd": (self.rrd, writers.write_rrd)}
         asked = {kind: each for kind, each in writers.items() if each[0] is not None}
         made = timelines() if asked else ()
         return {kind: write(path, made) for kind, (path, write) in asked.items() if path}

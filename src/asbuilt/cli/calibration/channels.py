@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import asbuilt
-from asbuilt import ChannelOptions, ReadingOptions
+from asbuilt import ChannelOptions, ReadingOptions, writers
 from asbuilt.cli.answers import answer, finding_text, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -87,7 +87,6 @@ def channels(
     )
     model, (sensors,) = robot_and_recordings(model, on_links, log)
     model, (motors,) = robot_and_recordings(model, on_motors, motor)
-    from asbuilt.writers.tables.drive_tables import channels_document, channels_text
 
     options = ChannelOptions(
         link_side=None if drive is None else asbuilt.DriveSet.parse(drive),
@@ -98,4 +97,8 @@ def channels(
     with progress_bar() as report:
         found = asbuilt.identify_channels(model, sensors, motors, options=options, progress=report)
     said = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
-    answer(as_json, lambda: channels_document(found), lambda: channels_text(found, full) + said)
+    answer(
+        as_json,
+        lambda: writers.channels_document(found),
+        lambda: writers.channels_text(found, full) + said,
+    )

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import asbuilt
-from asbuilt import GainOptions, ReadingOptions
+from asbuilt import GainOptions, ReadingOptions, writers
 from asbuilt.cli.answers import answer, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -70,8 +70,7 @@ def gains(
     source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
     measured = replace(reading, torque_source=source or "current")
     model, (bare, under) = robot_and_recordings(model, measured, log, loaded)
-    from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 
     with progress_bar() as report:
         found = asbuilt.find_gains(model, bare, under, mass=mass, options=options, progress=report)
-    answer(as_json, lambda: gains_document(found), lambda: gains_text(found, full))
+    answer(as_json, lambda: writers.gains_document(found), lambda: writers.gains_text(found, full))

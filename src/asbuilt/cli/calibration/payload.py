@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import asbuilt
-from asbuilt import PayloadOptions, ReadingOptions
+from asbuilt import PayloadOptions, ReadingOptions, writers
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -22,7 +22,7 @@ from asbuilt.cli.arguments.options import (
     distinct_logs,
     recordings_of,
 )
-from asbuilt.writers.files import path_texts
+from asbuilt.writers.files import with_files
 
 
 def payload(
@@ -73,13 +73,6 @@ def payload(
     )
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
     from asbuilt.workflow.calibration.payload_study import identify_moments, identify_payload
-    from asbuilt.writers.tables.payload_tables import (
-        moments_document,
-        moments_table,
-        payload_document,
-        payload_text,
-    )
-    from asbuilt.writers.tables.tabular import write_json
 
     options = replace(
         options,
@@ -91,12 +84,14 @@ def payload(
             weight = identify_moments(
                 identified, loaded, unloaded=bare, options=options, progress=report
             )
-        document = moments_document(weight)
-        written = {} if out is None else {"moments": write_json(out / "moments.json", document)}
+        document = writers.moments_document(weight)
+        written = (
+            {} if out is None else {"moments": writers.write_json(out / "moments.json", document)}
+        )
         answer(
             as_json,
-            lambda: document | {"files": path_texts(written)},
-            lambda: moments_table(weight).as_text(full) + listed_files(written),
+            lambda: with_files(document, written),
+            lambda: writers.moments_table(weight).as_text(full) + listed_files(written),
         )
         return
     with progress_bar() as report:
@@ -109,12 +104,12 @@ def payload(
             progress=report,
         )
     files = (
-        {"payload": write_json(out / "payload.json", payload_document(found))}
+        {"payload": writers.write_json(out / "payload.json", writers.payload_document(found))}
         if out is not None
         else {}
     )
     answer(
         as_json,
-        lambda: payload_document(found, files),
-        lambda: payload_text(found, full) + listed_files(files),
+        lambda: writers.payload_document(found, files),
+        lambda: writers.payload_text(found, full) + listed_files(files),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +23,7 @@ from asbuilt.writers.figures.comparison_figures import (
     drift_figure,
 )
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
-from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.cards import determination_card, difference_card, torque_card
 from asbuilt.writers.reports.page import (
     Block,
@@ -275,8 +274,3 @@ def _drift_cards(drift: Drift) -> list[Card]:
         figure = f"{significant(most.torque)} {most.unit}"
         cards.append(Card("neutral", figure, f"largest, at {most.joint}, of {of}"))
     return cards
-
-
-def with_files(document: dict[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the document with the paths of what was written."""
-    return {**document, "files": path_texts(files)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from asbuilt.validation.review.claim import Claim
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.figures.review_figure import review_figure
-from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
     Block,
     Card,
@@ -211,11 +211,6 @@ def claims_frame(review: Review) -> pl.DataFrame:
             "alike": pl.Boolean,
         },
     )
-
-
-def with_files(review: Review, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the JSON document of a review with the paths of what was written."""
-    return review_document(review) | ({"files": path_texts(files)} if files else {})
 
 
 def review_html(review: Review) -> str:
