@@ -184,7 +184,7 @@ def _option_text(name: str, value: Any) -> str:
     return f"{option} {shown}"
 
 
-def wrapped(text: str) -> str:
+def folded(text: str) -> str:
     """Return a message folded to the width of the terminal; as it is if stderr is none."""
     if not sys.stderr.isatty():
         return text
@@ -205,10 +205,10 @@ def listed_files(
 
 def brief_files(files: Mapping[str, Path], following: str) -> str:
     """Return lines that name the folder of the files written, and the command that follows."""
-    from asbuilt.tables import wrapped as fitted
+    from asbuilt.tables import wrapped
 
-    lines = [fitted(following, "Next: ")]
+    lines = [wrapped(following, "Next: ")]
     if files:
         names = ", ".join(path.name for path in files.values())
-        lines.insert(0, fitted(f"{next(iter(files.values())).parent}: {names}", "Written to "))
+        lines.insert(0, wrapped(f"{next(iter(files.values())).parent}: {names}", "Written to "))
     return "\n".join(["", *lines])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,7 +99,6 @@ def add(
         raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
     asked = _asked(drive, unchecked, filtering)
     from asbuilt.workflow.fleet.reduction.add import id_from as identity_from
-    from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
     identity = id if id is not None else identity_from(str(id_from))
     with progress_bar() as report:
@@ -110,7 +110,7 @@ def add(
             reading=reading,
             options=asked,
             fleet=fleet,
-            date=None if date is None else parse_date(date),
+            date=_date(date),
             progress=report,
         )
     _answer_addition(done, full, as_json)
@@ -194,10 +194,10 @@ def identify(
     drive terms.
     """
     opened = asbuilt.open_ledger(ledger)
-    from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
-    first, last = (None if text is None else parse_date(text) for text in (since, until))
-    study = asbuilt.fleet_identify(opened, id, since=first, until=last, options=options)
+    study = asbuilt.fleet_identify(
+        opened, id, since=_date(since), until=_date(until), options=options
+    )
     files, notes = writers.write_study(out, study) if out is not None else ({}, {})
     answer(
         as_json,
@@ -206,6 +206,13 @@ def identify(
             writers.study_text(study, full=full, cure_text=cure_text) + listed_files(files, notes)
         ),
     )
+
+
+def _date(text: str | None) -> datetime | None:
+    """Return the date that a text names, None without a text."""
+    from asbuilt.workflow.fleet.reduction.log_source import parse_date
+
+    return None if text is None else parse_date(text)
 
 
 def _asked(drive: str | None, unchecked: bool, filtering: Filtering) -> StudyOptions:
@@ -238,11 +245,9 @@ def drift(
     Natural variation from day to day is estimated from all robots of a type.
     """
     opened = asbuilt.open_ledger(ledger)
-    from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
-    first = None if since is None else parse_date(since)
     with progress_bar() as report:
-        found = asbuilt.fleet_drift(opened, since=first, options=options, progress=report)
+        found = asbuilt.fleet_drift(opened, since=_date(since), options=options, progress=report)
     answer(as_json, found.as_document, lambda: writers.drift_text(found, finding_text, full=full))
 
 
@@ -265,11 +270,9 @@ def report(
     The page needs no server and no network.
     """
     opened = asbuilt.open_ledger(ledger)
-    from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
-    first = None if since is None else parse_date(since)
     with progress_bar() as tell:
-        found = asbuilt.fleet_drift(opened, since=first, options=options, progress=tell)
+        found = asbuilt.fleet_drift(opened, since=_date(since), options=options, progress=tell)
     files = {"report": asbuilt.write_fleet_report(out / "fleet.html", found)}
     answer(
         as_json,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, UsageError, writers
+from asbuilt import ReadingOptions, UsageError, workflow, writers
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -29,6 +29,7 @@ from asbuilt.cli.arguments.options import (
     writable_file,
 )
 from asbuilt.cli.arguments.spread import one_of
+from asbuilt.description.tool import tool_from_text
 
 if TYPE_CHECKING:
     from asbuilt.excitation.motions.motion import Motion
@@ -59,11 +60,10 @@ def check(
     model, (recordings,) = robot_and_recordings(
         described_robot(robot, **reading.of_base), reading, log
     )
-    from asbuilt.workflow.information_efficiency import recorded_information
 
     checks = [asbuilt.check_recording(model, recording) for recording in recordings]
     carried = [
-        recorded_information(model, recording) if information and found.ok else None
+        workflow.recorded_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
     ]
     document, files = writers.check_document(model, checks, carried), {}
@@ -201,7 +201,6 @@ def simulate(
     runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
     kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
     model = robot_as_built(robot, fixed_base=fixed_base)
-    from asbuilt.description.tool import tool_from_text
 
     carried = None if tool is None else tool_from_text(tool)
     if at is not None and carried is None:

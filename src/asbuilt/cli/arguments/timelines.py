@@ -41,7 +41,7 @@ class TimelineFiles:
 
     def write(self, timelines: Callable[[], Sequence[Timeline]]) -> dict[str, Path]:
         """Write the files that are asked for, and return their paths by kind."""
-        writers = {"mcap": (self.mcap, writers.write_mcap), "rrd": (self.rrd, writers.write_rrd)}
-        asked = {kind: each for kind, each in writers.items() if each[0] is not None}
+        kinds = {"mcap": (self.mcap, writers.write_mcap), "rrd": (self.rrd, writers.write_rrd)}
+        asked = {kind: each for kind, each in kinds.items() if each[0] is not None}
         made = timelines() if asked else ()
         return {kind: write(path, made) for kind, (path, write) in asked.items() if path}
