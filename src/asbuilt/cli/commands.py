@@ -288,7 +288,7 @@ SUBCOMMANDS: dict[str, dict[str, Entry]] = {
             "fleet",
             "Find the robots that changed: when, what and how large.",
             ("ledger", "ledger --since 2026-03-01 --json"),
-            "fleet",
+            "fleet_drift",
         ),
         "report": Entry(
             "fleet",

@@ -53,6 +53,11 @@ class ParameterChange:
     dropped: bool = False
     shared_with: tuple[str, ...] = ()
 
+    @property
+    def error(self) -> float:
+        """Standard error of the change."""
+        return float(np.hypot(self.before_error, self.after_error))
+
 
 def other_drives_sentence(
     before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
