@@ -18,9 +18,7 @@ from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.free_motion import FreeMotion
-from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording
+from asbuilt.experiment import FreeMotion, Recording, SimulatedRecording
 from asbuilt.tables import significant, wrapped
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.models.robot_toml import write_robot_toml

@@ -34,11 +34,15 @@ from asbuilt.experiment import DataLogger, SimulatedRecording, VirtualRobot
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
 from asbuilt.tables import Column, Table, share, significant, stacked, wrapped
 from asbuilt.validation import Attribution, Recovery, Validation, attribute, compare_with_truth
+from asbuilt.writers import (
+    Export,
+    design_document,
+    export_result,
+    simulate_document,
+    write_motion_report,
+    write_simulation,
+)
 from asbuilt.writers.files import path_texts
-from asbuilt.writers.models.export import Export, export_result
-from asbuilt.writers.recording_files import simulate_document, write_simulation
-from asbuilt.writers.reports.motion_report import write_motion_report
-from asbuilt.writers.tables.design_tables import design_document
 from asbuilt.writers.tables.tabular import identify_document
 
 Progress = Callable[[str, float], None]

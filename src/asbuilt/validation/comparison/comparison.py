@@ -13,9 +13,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.findings import joined
+from asbuilt.identification import CauseData, TorqueMetrics
 from asbuilt.identification.errors.block_scatter import student_probability
-from asbuilt.identification.information.cause_data import CauseData
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.tables import Table, share, significant, stacked, wrapped
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter, parameter_table

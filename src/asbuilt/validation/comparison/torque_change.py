@@ -10,9 +10,8 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.errors import ResultError
-from asbuilt.identification.information.cause_data import CauseData
+from asbuilt.identification import CauseData, TorqueMetrics
 from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.significance import holm, probability_text, size_probability
 from asbuilt.validation.prediction import torque_units

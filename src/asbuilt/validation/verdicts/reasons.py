@@ -9,11 +9,9 @@ from typing import NamedTuple
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Finding, joined
-from asbuilt.identification.bodies.consistency import non_passive_drives
+from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.as_built_parameters import FAR_FROM_CAD, as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import significant
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation

@@ -13,8 +13,7 @@ import numpy as np
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Finding, joined
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import IdentificationResult, as_built_parameters
 from asbuilt.tables import share, significant
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import position_unit

@@ -9,9 +9,7 @@ from matplotlib.figure import Figure
 
 from asbuilt.identification.effects.groups import group_title
 from asbuilt.tables import significant
-from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.comparison.comparison import Comparison
-from asbuilt.validation.comparison.drift import Drift
+from asbuilt.validation import Attribution, Comparison, Drift
 from asbuilt.writers.figures.figure_style import (
     AS_BUILT,
     BLUE,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asbuilt.validation.review.claim import Claim
-from asbuilt.validation.review.review import Review
+from asbuilt.validation import Claim, Review
 from asbuilt.writers.figures.figure_style import (
     BLUE,
     GREY,

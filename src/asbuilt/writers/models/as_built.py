@@ -8,15 +8,16 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import (
+    DriveSet,
+    PositionServo,
+    available_terms,
+    drive_torque,
+    inverse_dynamics,
+)
+from asbuilt.identification import IdentificationResult, StandardParameters, as_built_parameters
 from asbuilt.identification.bodies.cad_prior import non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
-from asbuilt.identification.bodies.standard_parameters import StandardParameters
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.writers.models.sample_states import sample_states
 
 

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import LinkInertia, RobotModel, load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, joined

@@ -14,12 +14,10 @@ from asbuilt.description.formats.xml import described_text, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.identification.bodies.standard_parameters import StandardParameters
+from asbuilt.identification import IdentificationResult, StandardParameters
 from asbuilt.identification.information.random_motion import random_motion_rows
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import carrying
-from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.thresholds import Thresholds
+from asbuilt.monitoring import ModelError, Thresholds
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
 from asbuilt.writers.files import atomic_write, file_lines, path_texts

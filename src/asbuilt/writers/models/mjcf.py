@@ -23,8 +23,7 @@ from asbuilt.description.formats.mjcf_text import mjcf_text
 from asbuilt.description.model import Joint, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
-from asbuilt.identification.calibration.encoders import EncoderPair
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import EncoderPair, IdentificationResult
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_inconsistent
 

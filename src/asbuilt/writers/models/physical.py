@@ -10,8 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.consistency import inconsistencies
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import available_terms
+from asbuilt.dynamics import PositionServo, available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import cad_prior

@@ -11,8 +11,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, Joint, Link, Mimic, RobotModel
+from asbuilt.description import ROOT, Joint, Link, LinkInertia, Mimic, RobotModel
 from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
 from asbuilt.dynamics.kinematics import random_postures
 from asbuilt.errors import DescriptionError

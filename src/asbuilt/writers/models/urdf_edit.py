@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description import LinkInertia, described_text
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.formats.xml import described_text
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
 from asbuilt.description.structure.free_base import base_of
 from asbuilt.dynamics.newton_euler import inverse_dynamics

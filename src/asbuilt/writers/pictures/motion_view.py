@@ -8,15 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.appearance import Solid, link_solids
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description import ROOT, RobotModel, Solid, link_solids
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.spline import SplineMotion
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.recording import Recording
+from asbuilt.excitation import Motion, MotionBounds, SplineMotion
+from asbuilt.experiment import Recording, RecordingStream, head_of
 
 PLAYED_RATE = 25.0
 """Poses per second [Hz]; the eye sees no more."""

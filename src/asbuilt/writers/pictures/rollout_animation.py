@@ -12,12 +12,10 @@ from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
 from asbuilt.arrays import Array, Image
-from asbuilt.description.appearance import link_solids
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description import ROOT, RobotModel, link_solids
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
-from asbuilt.validation.rollout.errors import position_unit
-from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
+from asbuilt.validation import Rollout, SimulatedMotion, position_unit
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
 from asbuilt.writers.pictures.view import write_frames

@@ -16,13 +16,11 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description import ROOT, RobotModel, quaternion_from_rotation, rotation_onto
 from asbuilt.description.appearance import Solid, inertia_ellipsoid
-from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.description.rotation import quaternion_from_rotation, rotation_onto
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError, UsageError
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation import Motion, MotionBounds
 from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import round_mesh

@@ -14,8 +14,7 @@ import numpy as np
 import tomli_w
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.motion_csv import times_to_end
+from asbuilt.excitation import Motion, times_to_end
 from asbuilt.writers.programs.format import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.naming import plain_text
 

@@ -12,9 +12,7 @@ from asbuilt.findings import joined
 from asbuilt.identification.effects.groups import group_title
 from asbuilt.identification.result.determination import Determination
 from asbuilt.tables import share, significant, wrapped
-from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.comparison.comparison import Comparison, recording_name
-from asbuilt.validation.comparison.drift import Drift
+from asbuilt.validation import Attribution, Comparison, Drift, recording_name
 from asbuilt.validation.comparison.torque_change import joint_table
 from asbuilt.workflow.controller_model import ControllerComparison
 from asbuilt.writers.figures.comparison_figures import (

@@ -12,12 +12,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.design.designed_motion import Design
-from asbuilt.excitation.design.static_poses import StaticDesign
-from asbuilt.excitation.design_findings import design_findings
-from asbuilt.excitation.limits import MotionBounds
+from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
+from asbuilt.excitation import Design, MotionBounds, StaticDesign, design_findings
 from asbuilt.excitation.state_bounds import limited_model
 from asbuilt.writers.figures.figure_style import blank_figure, figure_address, styled
 from asbuilt.writers.files import atomic_write, data_address

@@ -21,9 +21,8 @@ from asbuilt.tables import (
     significant,
     wrapped,
 )
-from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.letter import LETTERS
-from asbuilt.validation.review.claim import Claim
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.figures.review_figure import review_figure

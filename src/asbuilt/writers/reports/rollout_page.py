@@ -7,10 +7,8 @@ from pathlib import Path
 
 from asbuilt.description.model import RobotModel
 from asbuilt.tables import share
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation import Rollout, RolloutErrors, recording_name, rollout_findings
 from asbuilt.validation.rollout.joint_errors import joint_table
-from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
 from asbuilt.writers.reports.page import (

@@ -9,9 +9,7 @@ from typing import Any
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification.calibration.payload import Payload
-from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import IdentificationResult, Payload, gear_ratios, motor_side_parameters
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study

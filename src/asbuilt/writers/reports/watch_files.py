@@ -6,10 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from asbuilt.codec import json_text
-from asbuilt.experiment.logs.long_recordings import head_of
-from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.quality.checks import RecordingCheck
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment import Recorded, RecordingCheck, Samples, head_of
 from asbuilt.findings import Finding
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.watching.threshold_files import thresholds_text

@@ -11,10 +11,8 @@ import numpy as np
 
 from asbuilt.codec import plain
 from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.excitation import LimitReport, StaticDesign, design_findings
 from asbuilt.excitation.design.designed_motion import Design, position_of
-from asbuilt.excitation.design.static_poses import StaticDesign
-from asbuilt.excitation.design_findings import design_findings
-from asbuilt.excitation.limits import LimitReport
 from asbuilt.findings import Cure, joined
 from asbuilt.tables import WIDTH, Column, Table, numbered, share, significant, wrapped
 from asbuilt.writers.files import path_texts

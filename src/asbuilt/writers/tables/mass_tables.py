@@ -12,8 +12,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Column, Table
-from asbuilt.workflow.masses.link_masses import LinkMasses
-from asbuilt.workflow.masses.mass_findings import LinkMass
+from asbuilt.workflow import LinkMass, LinkMasses
 from asbuilt.writers.models.as_built import as_built
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics import BaseParameters, parameter_values
 from asbuilt.findings import joined
 from asbuilt.tables import Cell, Column, Table, stacked, wrapped
 

@@ -17,17 +17,13 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.appearance import link_solids
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description import ROOT, RobotModel, link_solids
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.recording import Recording
+from asbuilt.experiment import Recorded, Recording, RecordingStream, head_of
 from asbuilt.findings import Finding, Severity
 from asbuilt.monitoring.events import Event
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.prediction import Validation
+from asbuilt.validation import Validation, recording_name
 from asbuilt.workflow.watching.watched_log import WatchedLog
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.skeleton import round_mesh

@@ -5,9 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
-from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.identification.estimators.methods import method_title
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import FoundEffect, IdentificationResult, method_title
 from asbuilt.identification.screen import effect_text
 from asbuilt.tables import share, significant
 from asbuilt.validation.comparison.parameter_text import drive_text
