@@ -14,6 +14,8 @@ from .model import RobotModel as RobotModel
 from .rotation import quaternion_from_rotation as quaternion_from_rotation
 from .rotation import rotation_onto as rotation_onto
 from .structure.loops import Loop as Loop
+from .structure.parts import PLAIN_TERMS as PLAIN_TERMS
+from .structure.parts import ROOT as ROOT
 from .structure.parts import DriveValues as DriveValues
 from .structure.parts import Frame as Frame
 from .structure.parts import Geometry as Geometry
@@ -21,5 +23,3 @@ from .structure.parts import Joint as Joint
 from .structure.parts import JointLimits as JointLimits
 from .structure.parts import Link as Link
 from .structure.parts import Mimic as Mimic
-from .structure.parts import PLAIN_TERMS as PLAIN_TERMS
-from .structure.parts import ROOT as ROOT

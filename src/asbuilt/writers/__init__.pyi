@@ -1,5 +1,7 @@
+from .figures.figure_style import save_figure as save_figure
 from .figures.torque_figure import torque_figure as torque_figure
 from .files import file_lines as file_lines
+from .files import path_texts as path_texts
 from .files import with_files as with_files
 from .models.as_built import as_built_model as as_built_model
 from .models.convert import Conversion as Conversion
@@ -81,6 +83,7 @@ from .tables.tabular import base_document as base_document
 from .tables.tabular import check_document as check_document
 from .tables.tabular import described_document as described_document
 from .tables.tabular import described_torque_table as described_torque_table
+from .tables.tabular import identify_document as identify_document
 from .tables.tabular import validate_document as validate_document
 from .tables.tabular import write_json as write_json
 from .timelines.timeline_files import timeline_of_watched as timeline_of_watched

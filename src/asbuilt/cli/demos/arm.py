@@ -38,12 +38,12 @@ from asbuilt.writers import (
     Export,
     design_document,
     export_result,
+    identify_document,
+    path_texts,
     simulate_document,
     write_motion_report,
     write_simulation,
 )
-from asbuilt.writers.files import path_texts
-from asbuilt.writers.tables.tabular import identify_document
 
 Progress = Callable[[str, float], None]
 
