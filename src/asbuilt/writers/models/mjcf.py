@@ -158,36 +158,23 @@ def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
     offsets = [
         f"{joint.name} {joint.drive.offset:.6g}" for joint in plain.joints if joint.drive.offset
     ]
-    notes = left_out_drives(plain, CARRIED, "MJCF")
-    if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
-        notes = (
-            (
-                "smooth Coulomb friction is written as dry friction: equal torques if a joint moves"
-                " faster than its width"
-            ),
-            *notes,
-        )
     constant = [
         f"{joint.name} {numbers['Pc']:.6g}"
         for joint in plain.joints
         if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("rate")
     ]
-    if constant:
-        notes = (
-            (
-                "cylinders of constant force are left out, for a tendon has a force by its"
-                f" stiffness alone (Pc [N]: {', '.join(constant)})"
-            ),
-            *notes,
-        )
-    if not offsets:
-        return notes
+    smooth = any("smooth_coulomb" in joint.drive.terms for joint in model.joints)
+    said = {
+        "the offsets of the drives are the bias of the actuators, which mj_inverse leaves out"
+        f" (Fo [N m, or N for prismatic joints]: {', '.join(offsets)})": bool(offsets),
+        "cylinders of constant force are left out, for a tendon has a force by its stiffness alone"
+        f" (Pc [N]: {', '.join(constant)})": bool(constant),
+        "smooth Coulomb friction is written as dry friction: equal torques if a joint moves faster"
+        " than its width": smooth,
+    }
     return (
-        (
-            "the offsets of the drives are the bias of the actuators, which mj_inverse leaves out"
-            f" (Fo [N m, or N for prismatic joints]: {', '.join(offsets)})"
-        ),
-        *notes,
+        *(note for note, holds in said.items() if holds),
+        *left_out_drives(plain, CARRIED, "MJCF"),
     )
 
 
