@@ -85,7 +85,7 @@ def show(
     )
     result = asbuilt.read_result(Path(robot))
 
-    model, masses = writers.as_built_model(result), writers.exported_masses(result)
+    model, masses = writers.as_built(result).model, writers.exported_masses(result)
     answer(
         as_json,
         lambda: (

@@ -1,9 +1,11 @@
+from .figures.cutoff_figure import cutoff_figure as cutoff_figure
 from .figures.figure_style import save_figure as save_figure
+from .figures.recording_figures import energy_figure as energy_figure
 from .figures.torque_figure import torque_figure as torque_figure
 from .files import file_lines as file_lines
 from .files import path_texts as path_texts
 from .files import with_files as with_files
-from .models.as_built import as_built_model as as_built_model
+from .models.as_built import as_built as as_built
 from .models.convert import Conversion as Conversion
 from .models.convert import convert_robot as convert_robot
 from .models.convert import write_masses as write_masses

@@ -302,7 +302,7 @@ def robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotMode
         return described_robot(robot, fixed_base=fixed_base)
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
 
-    return writers.as_built_model(asbuilt.read_result(Path(robot)))
+    return writers.as_built(asbuilt.read_result(Path(robot))).model
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
