@@ -68,7 +68,8 @@ def motion_html(design: Design | StaticDesign) -> str:
         ),
     ]
     title = "Predicted standard errors" if isinstance(design, Design) else "Poses"
-    joints = section_markup(JOINTS, {"joints": _joint_addresses(design)})
+    drawn = zip(design.model.joint_names, map(figure_address, joint_figures(design)), strict=True)
+    joints = section_markup(JOINTS, {"joints": drawn})
     return page(
         design.model.name,
         design_title(design),
@@ -88,13 +89,6 @@ def motion_html(design: Design | StaticDesign) -> str:
         ],
         title=f"{design.model.name}: designed motion",
     )
-
-
-def _joint_addresses(design: Design | StaticDesign) -> list[tuple[str, str]]:
-    return [
-        (name, figure_address(figure))
-        for name, figure in zip(design.model.joint_names, joint_figures(design), strict=True)
-    ]
 
 
 def joint_figures(design: Design | StaticDesign) -> list[Figure]:

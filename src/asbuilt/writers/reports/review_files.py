@@ -129,6 +129,10 @@ def review_table(review: Review) -> Table:
         f"{share(tolerance.mass, 0)} of mass, {share(tolerance.centre, 0)} of the radius of"
         f" gyration for centres and {share(tolerance.inertia, 0)} of the mean moment"
     )
+    widened = (
+        f"Standard errors are widened by the factor {significant(review.misfit)}: no plausible"
+        " numbers explain the log to its errors."
+    )
     return Table.of(
         review.claims,
         CLAIMS,
@@ -143,18 +147,9 @@ def review_table(review: Review) -> Table:
             " centre the radius of gyration, of an inertia the mean moment of the link.",
             "torque: RMS of the difference over all joints.",
             f"Other numbers are free meanwhile: drives without limit, bodies within {plausible}.",
-            *_widened(review),
+            *([widened] if review.misfit > 1.0 else []),
         ),
         important=_important(review),
-    )
-
-
-def _widened(review: Review) -> tuple[str, ...]:
-    if review.misfit <= 1.0:
-        return ()
-    return (
-        "Standard errors are widened by the factor"
-        f" {significant(review.misfit)}: no plausible numbers explain the log to its errors.",
     )
 
 

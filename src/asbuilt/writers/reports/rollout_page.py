@@ -33,20 +33,9 @@ def write_rollouts(
     if rollouts and animation is not None:
         files["animation"] = write_rollout_animation(animation, model, rollouts[-1])
     if rollouts and folder is not None:
-        path = folder / "rollout.html"
-        files["rollout"] = write_rollout_page(path, model, rollouts, animation=animation)
+        page_text = rollout_html(model, rollouts, animation=animation)
+        files["rollout"] = atomic_write(folder / "rollout.html", page_text)
     return files
-
-
-def write_rollout_page(
-    path: str | Path,
-    model: RobotModel,
-    rollouts: Sequence[Rollout],
-    *,
-    animation: Path | None = None,
-) -> Path:
-    """Write the page of rollouts as a self-contained HTML file, with an animation if given."""
-    return atomic_write(path, rollout_html(model, rollouts, animation=animation))
 
 
 def rollout_html(
@@ -55,8 +44,11 @@ def rollout_html(
     """Return the page of rollouts as text."""
     longest = rollouts[-1]
     logs = sorted({recording_name(each.source) for each in longest.by_recording})
-    cards, words = _cards(longest), "The measured robot in grey, the simulated one as lines"
-    moving = () if animation is None else (image_markup(_address(animation), words),)
+    moving = []
+    if animation is not None:
+        kind = f"image/{animation.suffix.lower().removeprefix('.')}"
+        words = "The measured robot in grey, the simulated one as lines"
+        moving.append(image_markup(data_address(animation.read_bytes(), kind), words))
     joints = [
         table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
     ]
@@ -66,7 +58,7 @@ def rollout_html(
         model.name,
         ", ".join(logs),
         [
-            Block("verdict", "Verdict", (cards_markup(cards), said)),
+            Block("verdict", "Verdict", (cards_markup(_cards(longest)), said)),
             Block("animation", "Animation", moving),
             Block("motion", "Measured and simulated motion", (motion,), "Motion"),
             Block("by-joint", "Joint by joint", joints, "Joints"),
@@ -95,8 +87,3 @@ def _cards(rollout: Rollout) -> list[Card]:
         until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""
         cards.append(Card("good", share(less), f"less error than CAD{until}"))
     return cards
-
-
-def _address(path: Path) -> str:
-    """Return a file as the address of a picture that a page holds itself."""
-    return data_address(path.read_bytes(), f"image/{path.suffix.lower().removeprefix('.')}")
