@@ -57,14 +57,13 @@ class ComparedValues:
         found = result.free
         if found is None:
             return cls.own(result)
-        none = np.zeros(len(found.estimates), dtype=np.bool_)
         return cls(
             found.estimates,
             found.covariance,
             found.std_errors,
             found.textbook_std_errors,
             found.determined,
-            none,
+            np.zeros(len(found.estimates), dtype=np.bool_),
             found.scatter,
         )
 
@@ -80,12 +79,11 @@ class ComparedValues:
     @property
     def textbook_covariance(self) -> Array:
         """Covariance (p, p) with the same correlations and textbook variances."""
-        usable = self.std_errors > 0
         shrink = np.divide(
             self.textbook_std_errors,
             self.std_errors,
             out=np.zeros_like(self.std_errors),
-            where=usable,
+            where=self.std_errors > 0,
         )
         return np.asarray(self.covariance * np.outer(shrink, shrink))
 

@@ -40,8 +40,10 @@ def reasons_against(
 ) -> tuple[Reason, ...]:
     """Return what speaks against a model, the weightiest first; empty if nothing does."""
     untested = is_untested(result, findings, validations)
+    # Errors of a recording that was used all the same.
+    checks = [each for each in findings if each.severity == "error"]
     return (
-        *_of_checks(findings),
+        *(Reason(each.code, each.message, forbids=True) for each in checks),
         *_of_error(error, measure),
         *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
         *_of_findings(findings, result.effects, len(result.validation), measure),
@@ -57,15 +59,8 @@ def is_untested(
     result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
 ) -> bool:
     """Return whether a model was measured on its training data alone."""
-    nothing = not (validations or result.validation)
-    return nothing or any(each.code == "nothing_held_out" for each in findings)
-
-
-def _of_checks(findings: Sequence[Finding]) -> Iterator[Reason]:
-    """Yield the errors of a recording that was used all the same."""
-    for each in findings:
-        if each.severity == "error":
-            yield Reason(each.code, each.message, forbids=True)
+    held_out = validations or result.validation
+    return not held_out or any(each.code == "nothing_held_out" for each in findings)
 
 
 def _of_error(error: VerdictError, measure: Measure) -> Iterator[Reason]:
