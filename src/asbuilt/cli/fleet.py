@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -16,6 +16,7 @@ from asbuilt import (
     ReadingOptions,
     StudyOptions,
     UsageError,
+    workflow,
     writers,
 )
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
@@ -30,9 +31,6 @@ from asbuilt.cli.arguments.options import (
     writable_folder,
 )
 from asbuilt.workflow.fleet.options import FleetDriftOptions
-
-if TYPE_CHECKING:
-    from asbuilt.workflow.fleet.reduction.add import Addition
 
 LedgerPlace = Annotated[
     str,
@@ -116,7 +114,7 @@ def add(
     _answer_addition(done, full, as_json)
 
 
-def _answer_addition(done: Addition, full: bool, as_json: bool) -> None:
+def _answer_addition(done: workflow.Addition, full: bool, as_json: bool) -> None:
     """Print what was added; logs that failed are the exit status."""
     answer(
         as_json,

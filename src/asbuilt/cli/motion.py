@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 import asbuilt
-from asbuilt import DesignOptions, UsageError, writers
+from asbuilt import DesignOptions, UsageError, excitation, writers
 from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -26,10 +26,6 @@ from asbuilt.cli.arguments.options import (
     writable_folder,
 )
 from asbuilt.cli.arguments.spread import given_options
-
-if TYPE_CHECKING:
-    from asbuilt.excitation.design.multistart import SearchProgress
-    from asbuilt.excitation.motions.motion import Motion
 
 OF_MOTIONS = (
     *("--parametrisation", "--harmonics", "--criterion", "--focus", "--periods"),
@@ -133,7 +129,7 @@ def excite(
         return
     with progress_bar() as show:
 
-        def progress(state: SearchProgress) -> None:
+        def progress(state: excitation.SearchProgress) -> None:
             best = f": best {state.best:.2f}" if math.isfinite(state.best) else ""
             show(state.phase + best, state.share)
 
@@ -171,7 +167,7 @@ def _refuse_idle(
 
 def _programs(
     model: asbuilt.RobotModel,
-    motion: Motion,
+    motion: excitation.Motion,
     forms: Sequence[str] | None,
     out: Path,
     collision: str | None,

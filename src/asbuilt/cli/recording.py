@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, UsageError, workflow, writers
+from asbuilt import ReadingOptions, UsageError, excitation, workflow, writers
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -30,9 +30,6 @@ from asbuilt.cli.arguments.options import (
 )
 from asbuilt.cli.arguments.spread import one_of
 from asbuilt.description.tool import tool_from_text
-
-if TYPE_CHECKING:
-    from asbuilt.excitation.motions.motion import Motion
 
 
 def check(
@@ -246,7 +243,7 @@ def simulate(
 
 def _motion(
     model: asbuilt.RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
-) -> Motion:
+) -> excitation.Motion:
     """Return the motion of a file, or a random one."""
     if motion is not None:
         return asbuilt.read_motion(motion, model)

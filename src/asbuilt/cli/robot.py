@@ -5,12 +5,20 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import Annotated, cast
 
 import typer
 
 import asbuilt
-from asbuilt import MotionError, ReadingOptions, RecordingError, UsageError, writers
+from asbuilt import (
+    MotionError,
+    ReadingOptions,
+    RecordingError,
+    UsageError,
+    excitation,
+    experiment,
+    writers,
+)
 from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -34,10 +42,6 @@ from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.structure.locking import locks_from_text
 from asbuilt.experiment.logs.options import gravity_of
 from asbuilt.tables import stacked, wrapped
-
-if TYPE_CHECKING:
-    from asbuilt.excitation.motions.motion import Motion
-    from asbuilt.experiment.logs.long_recordings import RecordingStream
 
 
 def robots(full: Full = False, as_json: AsJson = False) -> None:
@@ -209,13 +213,15 @@ def view(
         shown.close()
 
 
-def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> Motion:
+def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> excitation.Motion:
     """Return the motion of a motion file, or of a recording in any format."""
     options = replace(reading, fixed_base=False)
 
-    def logged() -> Motion:
+    def logged() -> excitation.Motion:
         (recording,) = asbuilt.as_recordings(model, path, options)
-        return writers.motion_of_recording(cast("asbuilt.Recording | RecordingStream", recording))
+        return writers.motion_of_recording(
+            cast("asbuilt.Recording | experiment.RecordingStream", recording)
+        )
 
     try:
         if path.suffix.lower() == ".csv" and not any(given_options(options).values()):

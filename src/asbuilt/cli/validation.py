@@ -16,6 +16,7 @@ from asbuilt import (
     WatchOptions,
     identification,
     validation,
+    workflow,
     writers,
 )
 from asbuilt.cli.answers import (
@@ -59,8 +60,6 @@ from asbuilt.workflow.options import (
 
 if TYPE_CHECKING:
     from asbuilt.executor import Workers
-    from asbuilt.validation.comparison.drift import Drift
-    from asbuilt.workflow.controller_model import ControllerComparison
 
 
 def validate(
@@ -271,7 +270,7 @@ def compare(
     recording = (
         None if controller is None else recordings_of(identified.model, [controller], reading)[0]
     )
-    drift: Drift | ControllerComparison | None = None
+    drift: validation.Drift | workflow.ControllerComparison | None = None
     if other is not None:
         later, names = asbuilt.read_result(other), (str(result), str(other))
         drift = asbuilt.compare_results(identified, later, labels=names)

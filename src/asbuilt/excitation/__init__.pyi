@@ -1,5 +1,6 @@
 from .design.design import design_motion as design_motion
 from .design.designed_motion import Design as Design
+from .design.multistart import SearchProgress as SearchProgress
 from .design.options import DesignOptions as DesignOptions
 from .design.static_poses import StaticDesign as StaticDesign
 from .design.static_poses import design_static_poses as design_static_poses

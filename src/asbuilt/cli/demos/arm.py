@@ -28,8 +28,7 @@ from asbuilt import (
     write_study,
 )
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.design.multistart import SearchProgress
-from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation import Motion, SearchProgress
 from asbuilt.experiment import DataLogger, SimulatedRecording, VirtualRobot
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
 from asbuilt.tables import Column, Table, share, significant, stacked, wrapped

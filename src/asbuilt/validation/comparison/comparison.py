@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.findings import joined
-from asbuilt.identification import CauseData, TorqueMetrics
+from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.identification.errors.block_scatter import student_probability
 from asbuilt.tables import Table, share, significant, stacked, wrapped
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
@@ -31,9 +31,6 @@ from asbuilt.validation.comparison.significance import (
 )
 from asbuilt.validation.comparison.torque_change import torque_cost, torque_error_table
 from asbuilt.validation.prediction import Validation, cad_values, torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 FALSE_DISCOVERY_RATE = 0.05
 """Expected share of wrong ones among the parameters that differ (usual level)."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from asbuilt.errors import ResultError
 from asbuilt.identification.errors.block_scatter import student_probability
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
@@ -45,10 +46,6 @@ from asbuilt.validation.comparison.torque_change import (
     torque_sentence,
 )
 from asbuilt.validation.prediction import cad_values, torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-
 
 MOST_SENTENCES = 4
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Mask
 from asbuilt.findings import joined
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import rounded
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 LARGEST_GROWTH = 3.0
 """Largest relative change given in percent; beyond it the first value was near zero."""

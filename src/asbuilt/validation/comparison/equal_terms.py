@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +13,8 @@ from asbuilt.identification.errors.block_scatter import (
     summed_degrees,
     widening,
 )
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.comparison.significance import ChiSquare, chi_square, joint_test
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-
 
 FREE_METHOD = "wls"
 """The estimator of `FreeValues`."""

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import ResultError
-from asbuilt.identification import CauseData, TorqueMetrics
+from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.significance import holm, probability_text, size_probability
 from asbuilt.validation.prediction import torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.dynamics.base.base_parameters import BaseParameters
-    from asbuilt.identification.result.result import IdentificationResult
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 
 from asbuilt.findings import joined
+from asbuilt.identification import Determination, IdentificationResult
 from asbuilt.identification.effects.groups import group_title
-from asbuilt.identification.result.determination import Determination
 from asbuilt.tables import share, significant, wrapped
 from asbuilt.validation import Attribution, Comparison, Drift, recording_name
 from asbuilt.validation.comparison.torque_change import joint_table
@@ -33,9 +33,6 @@ from asbuilt.writers.reports.page import (
     paragraph_markup,
     table_markup,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 NO_CAUSES = (
     "Causes of the CAD error, and the torque of differences, are unknown: the result has no cause"
