@@ -88,6 +88,7 @@ from .tables.tabular import described_torque_table as described_torque_table
 from .tables.tabular import identify_document as identify_document
 from .tables.tabular import validate_document as validate_document
 from .tables.tabular import write_json as write_json
+from .timelines.timeline_files import Timeline as Timeline
 from .timelines.timeline_files import timeline_of_watched as timeline_of_watched
 from .timelines.timeline_files import timelines_of_validations as timelines_of_validations
 from .timelines.timeline_files import write_mcap as write_mcap

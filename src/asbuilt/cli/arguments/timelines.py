@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from asbuilt import writers
 from asbuilt.cli.arguments.options import writable_file
-
-if TYPE_CHECKING:
-    from asbuilt.writers.timelines.timeline_files import Timeline
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class TimelineFiles:
         ),
     ] = None
 
-    def write(self, timelines: Callable[[], Sequence[Timeline]]) -> dict[str, Path]:
+    def write(self, timelines: Callable[[], Sequence[writers.Timeline]]) -> dict[str, Path]:
         """Write the files that are asked for, and return their paths by kind."""
         kinds = {"mcap": (self.mcap, writers.write_mcap), "rrd": (self.rrd, writers.write_rrd)}
         asked = {kind: each for kind, each in kinds.items() if each[0] is not None}

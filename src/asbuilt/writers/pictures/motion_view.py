@@ -50,10 +50,8 @@ class MotionView:
 
         `path` (m, n) are the positions of a finer path, by default q.
         """
-        times, positions = (
-            np.atleast_1d(np.asarray(t, dtype=np.float64)),
-            np.atleast_2d(np.asarray(q, dtype=np.float64)),
-        )
+        times = np.atleast_1d(np.asarray(t, dtype=np.float64))
+        positions = np.atleast_2d(np.asarray(q, dtype=np.float64))
         if positions.shape != (times.size, model.n_joints) or not np.all(np.isfinite(positions)):
             raise UsageError(
                 f"a view of {model.name} needs finite positions of shape ({times.size},"
@@ -123,11 +121,8 @@ def resting_pose(model: RobotModel) -> Array:
         [0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)]
     )
     bend[0] = 0.0
-    low, high = (
-        bounds.lower + 0.1 * (bounds.upper - bounds.lower),
-        bounds.upper - 0.1 * (bounds.upper - bounds.lower),
-    )
-    return np.asarray(np.clip(bend, low, high))
+    margin = 0.1 * (bounds.upper - bounds.lower)
+    return np.asarray(np.clip(bend, bounds.lower + margin, bounds.upper - margin))
 
 
 def motion_of_recording(recording: Recording | RecordingStream) -> SplineMotion:
