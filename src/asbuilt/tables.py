@@ -302,9 +302,11 @@ class Table:
     def filled(self) -> Table:
         """Return the table without the columns that no row fills."""
         kept = [any(cell is not None for cell in cells) for cells in zip(*self.rows, strict=True)]
-        columns = tuple(compress(self.columns, kept))
-        rows = tuple(tuple(compress(row, kept)) for row in self.rows)
-        return replace(self, columns=columns, rows=rows)
+        return replace(
+            self,
+            columns=tuple(compress(self.columns, kept)),
+            rows=tuple(tuple(compress(row, kept)) for row in self.rows),
+        )
 
     def __str__(self) -> str:
         return self.as_text()

@@ -56,8 +56,12 @@ class Screen:
             for task in self._tasks.values():
                 bar.update(task, total=1.0, completed=1.0)
             self._tasks[stage] = bar.add_task(what, total=None)
-        total = 1.0 if fraction > 0.0 else None
-        bar.update(self._tasks[stage], description=what, completed=fraction, total=total)
+        bar.update(
+            self._tasks[stage],
+            description=what,
+            completed=fraction,
+            total=1.0 if fraction > 0.0 else None,
+        )
 
     def announce_compilation(self, kernel: Kernel) -> None:
         """Say that machine code is being made and, if it can be kept, make all there is."""
@@ -188,8 +192,9 @@ def folded(text: str) -> str:
     """Return a message folded to the width of the terminal; as it is if stderr is none."""
     if not sys.stderr.isatty():
         return text
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(
+        text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def listed_files(

@@ -169,9 +169,7 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
-    opened = asbuilt.open_ledger(ledger)
-
-    seen = asbuilt.fleet_overview(opened, thorough=thorough)
+    seen = asbuilt.fleet_overview(asbuilt.open_ledger(ledger), thorough=thorough)
     answer(as_json, seen.as_document, lambda: writers.overview_text(seen, finding_text, full=full))
 
 
@@ -191,10 +189,8 @@ def identify(
     The parameters are those of `asbuilt identify` on the same logs with the same method, chain and
     drive terms.
     """
-    opened = asbuilt.open_ledger(ledger)
-
     study = asbuilt.fleet_identify(
-        opened, id, since=_date(since), until=_date(until), options=options
+        asbuilt.open_ledger(ledger), id, since=_date(since), until=_date(until), options=options
     )
     files, notes = writers.write_study(out, study) if out is not None else ({}, {})
     answer(
@@ -216,8 +212,12 @@ def _date(text: str | None) -> datetime | None:
 def _asked(drive: str | None, unchecked: bool, filtering: Filtering) -> StudyOptions:
     if filtering.cutoff == "auto":
         raise UsageError("a ledger takes a cutoff in Hz, or the one chosen from the first log")
-    chain = filtering.chain() if any(filtering.given.values()) else None
-    return replace(StudyOptions(), drive=drive, chain=chain, checked=not unchecked)
+    return replace(
+        StudyOptions(),
+        drive=drive,
+        chain=filtering.chain() if any(filtering.given.values()) else None,
+        checked=not unchecked,
+    )
 
 
 ChangesSince = Annotated[

@@ -320,11 +320,10 @@ def masses(
     They stand beside those of the description, the least plausible first. Without densities,
     materials and table, each link keeps its mass, spread evenly over its geometry.
     """
-    densities = _by_link("--density", density)
     found = asbuilt.link_masses(
         described_robot(robot),
         meshes=meshes,
-        density=_numbers(densities),
+        density=_numbers(_by_link("--density", density)),
         material=_by_link("--material", material),
         table=table,
         about=None if about is None else one_of("--about", about, ("com", "origin")),

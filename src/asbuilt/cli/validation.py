@@ -409,12 +409,11 @@ def watch(
     with progress_bar() as report:
         report("read", 0.0)
         logged = recordings_of(identified.model, [log], reading)[0]
-        quiet = recordings_of(identified.model, calibrate, reading)
 
         watched = asbuilt.watch(
             identified,
             logged,
-            calibrate=quiet,
+            calibrate=recordings_of(identified.model, calibrate, reading),
             thresholds=given,
             options=options,
             progress=report,

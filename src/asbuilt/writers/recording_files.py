@@ -203,10 +203,12 @@ def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
         name: getattr(motion, name) for name in ("kinetic", "potential", "work", "dissipated")
     }
     table = write_columns(path, motion.t, motion.model.joint_names, states, energies)
-    drawn = writers.energy_figure(motion, title=f"{motion.model.name}: {WHAT[motion.release]}")
     return {
         "motion": table,
-        "figure": writers.save_figure(drawn, table.with_suffix(".png")),
+        "figure": writers.save_figure(
+            writers.energy_figure(motion, title=f"{motion.model.name}: {WHAT[motion.release]}"),
+            table.with_suffix(".png"),
+        ),
     }
 
 

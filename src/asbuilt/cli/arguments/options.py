@@ -253,10 +253,11 @@ class Filtering:
     def chain(self) -> asbuilt.SignalChain:
         """Return the named signal chain, with the cutoff and decimation given."""
         chain = asbuilt.SignalChain.preset(self.preset)
-        cutoff = chain.cutoff if self.cutoff is None else positive_number("--cutoff", self.cutoff)
         return replace(
             chain,
-            cutoff=cutoff,
+            cutoff=chain.cutoff
+            if self.cutoff is None
+            else positive_number("--cutoff", self.cutoff),
             decimate=chain.decimate if self.decimate is None else self.decimate,
             max_gap=chain.max_gap
             if self.max_gap is None

@@ -89,8 +89,13 @@ def reproduction_html(redone: Reproduction) -> str:
         for heading, names in zip(("CAD", "Robot"), ORDER, strict=True)
     )
     verdict = Block("verdict", "Verdict", (list_markup(sentences(redone)),))
-    title = "The 2015 paper, reproduced"
-    return page("The 2015 paper", "reproduced", [verdict, *blocks], title=title, subtitle=SOURCE)
+    return page(
+        "The 2015 paper",
+        "reproduced",
+        [verdict, *blocks],
+        title="The 2015 paper, reproduced",
+        subtitle=SOURCE,
+    )
 
 
 def _png_address(figure: Figure) -> str:

@@ -108,8 +108,11 @@ def simulation_motion(model: RobotModel) -> Motion:
 def _with_lighter_wrist(model: RobotModel) -> RobotModel:
     links = list(model.links)
     for k in WRIST:
-        inertia = LinkInertia.from_pseudo_inertia(WRIST_SHARE * links[k].inertia.pseudo_inertia)
-        links[k] = replace(links[k], inertia=inertia, parts=())
+        links[k] = replace(
+            links[k],
+            inertia=LinkInertia.from_pseudo_inertia(WRIST_SHARE * links[k].inertia.pseudo_inertia),
+            parts=(),
+        )
     return replace(model, links=tuple(links))
 
 

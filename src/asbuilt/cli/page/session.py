@@ -78,12 +78,11 @@ class Job:
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the page shows of it."""
-        seconds = round(time.monotonic() - self.begun, 1)
         return {
             "step": self.step,
             "what": self.what,
             "fraction": self.fraction,
-            "seconds": seconds,
+            "seconds": round(time.monotonic() - self.begun, 1),
         }
 
 

@@ -230,10 +230,9 @@ def torque_cost(cause_data: CauseData, base: BaseParameters, difference: Array) 
     eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
     kept = eigenvalues > WEAKEST * eigenvalues.max(initial=0.0)
     variance = np.sum(vectors[:, kept] ** 2 / eigenvalues[kept], axis=1)
-    hidden = np.sum(vectors[:, ~kept] ** 2, axis=1) > 1e-6
     own = np.zeros(len(d))
     own[present] = np.where(
-        hidden,
+        np.sum(vectors[:, ~kept] ** 2, axis=1) > 1e-6,
         0.0,
         length[present] * np.abs(d[present]) / np.sqrt(n * np.maximum(variance, 1e-300)),
     )

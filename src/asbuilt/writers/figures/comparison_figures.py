@@ -68,8 +68,14 @@ def attribution_figure(attribution: Attribution) -> Figure:
                         k, 50 * ends.sum(), f"{100 * part:.0f}", va="center", color=ink, **small
                     )
             above, below = above + up, below + down
-        rest = 100 * attribution.unexplained
-        axis.bar(place, rest, bottom=100 * above, color=UNEXPLAINED, label="unexplained", **bar)
+        axis.bar(
+            place,
+            100 * attribution.unexplained,
+            bottom=100 * above,
+            color=UNEXPLAINED,
+            label="unexplained",
+            **bar,
+        )
         top = above + attribution.unexplained
         for k, (rms, unit) in enumerate(zip(attribution.rms_cad, attribution.units, strict=True)):
             height, error = 100 * (min(top[k], high) + gap), f"{significant(float(rms))} {unit}"
@@ -137,8 +143,14 @@ def difference_figure(comparison: Comparison) -> Figure:
             felt = f"joint {1 + int(np.argmax(each.torque))}" if each.torque else ""
             shared = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else ""
             remark = shared or ("" if each.matters else ", small")
-            beyond = total[k] + 0.01 * total.max()
-            axis.text(beyond, k, f"{felt}{remark}", va="center", fontsize=7, color=QUIET)
+            axis.text(
+                total[k] + 0.01 * total.max(),
+                k,
+                f"{felt}{remark}",
+                va="center",
+                fontsize=7,
+                color=QUIET,
+            )
         axis.set_yticks(place, [f"{each.name}  ({each.words})" for each in shown], fontsize=7)
         axis.set(
             xlabel="torque of the difference, RMS over all joints [N m]",
@@ -148,8 +160,9 @@ def difference_figure(comparison: Comparison) -> Figure:
         axis.grid(axis="y", visible=False)
         for colour, label in ((AS_BUILT, "differs"), (GREY, "within standard errors")):
             axis.bar([0], [0], color=colour, label=label)
-        pale = "pale: part that others could make up for"
-        axis.legend(loc="lower right", title=pale, title_fontsize=8)
+        axis.legend(
+            loc="lower right", title="pale: part that others could make up for", title_fontsize=8
+        )
     return figure
 
 
@@ -175,8 +188,13 @@ def drift_figure(drift: Drift) -> Figure:
         ):
             if not shown.any():
                 continue
-            bars = np.where(shown, lengths, 0.0)
-            axis.barh(place + shift, bars, height=height, color=colour, label=label)
+            axis.barh(
+                place + shift,
+                np.where(shown, lengths, 0.0),
+                height=height,
+                color=colour,
+                label=label,
+            )
             for k in np.flatnonzero(shown):
                 axis.text(
                     lengths[k] + 0.008 * longest,

@@ -163,14 +163,13 @@ def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
         for joint in plain.joints
         if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("rate")
     ]
-    smooth = any("smooth_coulomb" in joint.drive.terms for joint in model.joints)
     said = {
         "the offsets of the drives are the bias of the actuators, which mj_inverse leaves out"
         f" (Fo [N m, or N for prismatic joints]: {', '.join(offsets)})": bool(offsets),
         "cylinders of constant force are left out, for a tendon has a force by its stiffness alone"
         f" (Pc [N]: {', '.join(constant)})": bool(constant),
         "smooth Coulomb friction is written as dry friction: equal torques if a joint moves faster"
-        " than its width": smooth,
+        " than its width": any("smooth_coulomb" in joint.drive.terms for joint in model.joints),
     }
     return (
         *(note for note, holds in said.items() if holds),

@@ -32,8 +32,9 @@ def error_card(found: Verdict, unit: str) -> Card:
 
     cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
     measured = "torque error" if found.measure == "torque" else "simulation error"
-    label = f"{measured} of the exported robot{cad}"
-    return Card(MOODS[found.use], text(found.error.decisive), label)
+    return Card(
+        MOODS[found.use], text(found.error.decisive), f"{measured} of the exported robot{cad}"
+    )
 
 
 def torque_card(comparison: Comparison) -> Card:

@@ -140,8 +140,6 @@ class CadVerdict:
                 figure_address(difference_figure(comparison)),
                 "Torque of each difference; the numbers are in the table below",
             )
-        title = "Parameters, those with the most torque first"
-        determined = list_markup(self.determination.sentences)
         return page(
             result.robot,
             f"as built against {comparison.cad_source}",
@@ -152,11 +150,16 @@ class CadVerdict:
                     (cards_markup(cards), list_markup(said), table_markup(joints, "joint-table")),
                 ),
                 Block("causes", "Causes of the CAD error", causes, "Causes"),
-                Block("parameters", title, (drawn, parameters), "Parameters"),
+                Block(
+                    "parameters",
+                    "Parameters, those with the most torque first",
+                    (drawn, parameters),
+                    "Parameters",
+                ),
                 Block(
                     "determination",
                     "What the recording determines",
-                    (determined,),
+                    (list_markup(self.determination.sentences),),
                     "Determination",
                 ),
             ],
@@ -168,8 +171,11 @@ class CadVerdict:
 
 def _explained_card(attribution: Attribution) -> Card:
     explained = attribution.explained
-    label = "of the squared CAD error explained by causes"
-    return Card("good" if explained > 0.9 else "bad", share(explained), label)
+    return Card(
+        "good" if explained > 0.9 else "bad",
+        share(explained),
+        "of the squared CAD error explained by causes",
+    )
 
 
 def write_comparison(

@@ -69,7 +69,6 @@ def motion_html(design: Design | StaticDesign) -> str:
     ]
     title = "Predicted standard errors" if isinstance(design, Design) else "Poses"
     drawn = zip(design.model.joint_names, map(figure_address, joint_figures(design)), strict=True)
-    joints = section_markup(JOINTS, {"joints": drawn})
     return page(
         design.model.name,
         design_title(design),
@@ -84,7 +83,12 @@ def motion_html(design: Design | StaticDesign) -> str:
                 ),
             ),
             Block("path", "Path of the tool", (image_markup(_path_address(design), PATH),), "Path"),
-            Block("joints-drawn", "Joints and their limits", (joints,), "Joints"),
+            Block(
+                "joints-drawn",
+                "Joints and their limits",
+                (section_markup(JOINTS, {"joints": drawn}),),
+                "Joints",
+            ),
             Block("parameters", title, (table_markup(design_table(design), "rows"),)),
         ],
         title=f"{design.model.name}: designed motion",

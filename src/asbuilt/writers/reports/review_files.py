@@ -194,13 +194,14 @@ def write_review(folder: Path, review: Review) -> dict[str, Path]:
 
 def claims_frame(review: Review) -> pl.DataFrame:
     """Return one row per claim, contradicted ones first, with the fields of `Claim`."""
-    numbers = ("claimed", "estimate", "std_error", "torque", "p_value", "false_discovery")
-    texts = ("what", "joint", "unit", "verdict", "note")
     return pl.DataFrame(
         [claim.as_dict() for claim in review.claims],
         schema_overrides={
-            **dict.fromkeys(numbers, pl.Float64),
-            **dict.fromkeys(texts, pl.String),
+            **dict.fromkeys(
+                ("claimed", "estimate", "std_error", "torque", "p_value", "false_discovery"),
+                pl.Float64,
+            ),
+            **dict.fromkeys(("what", "joint", "unit", "verdict", "note"), pl.String),
             "alias_of": pl.List(pl.String),
             "alike": pl.Boolean,
         },

@@ -33,8 +33,9 @@ def write_rollouts(
     if rollouts and animation is not None:
         files["animation"] = write_rollout_animation(animation, model, rollouts[-1])
     if rollouts and folder is not None:
-        page_text = rollout_html(model, rollouts, animation=animation)
-        files["rollout"] = atomic_write(folder / "rollout.html", page_text)
+        files["rollout"] = atomic_write(
+            folder / "rollout.html", rollout_html(model, rollouts, animation=animation)
+        )
     return files
 
 

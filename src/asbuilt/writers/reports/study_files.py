@@ -144,8 +144,9 @@ def write_study(
         if shown:
             files["torque"] = _draw(folder / "torque.png", result, shown[0])
         if study.cutoffs is not None:
-            title = f"{result.robot}: cutoff of the low-pass"
-            drawn = writers.cutoff_figure(study.cutoffs, title=title)
+            drawn = writers.cutoff_figure(
+                study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"
+            )
             files["cutoff"] = writers.save_figure(drawn, folder / "cutoff.png")
         if shown:
             files["report"] = writers.write_report(

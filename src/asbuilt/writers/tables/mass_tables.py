@@ -143,11 +143,14 @@ def masses_table(masses: LinkMasses) -> Table:
             "Ixx Iyy Izz computed", "kg m^2", detail=True, of=lambda each: _moments(each.computed)
         ),
     )
-    title = f"{masses.model.name}: mass properties of the description beside those computed"
-    details = (
-        "Moments are about the centre of mass; the density is mass over volume of geometry.",
+    return Table.of(
+        masses.links,
+        columns,
+        f"{masses.model.name}: mass properties of the description beside those computed",
+        details=(
+            "Moments are about the centre of mass; the density is mass over volume of geometry.",
+        ),
     )
-    return Table.of(masses.links, columns, title, details=details)
 
 
 def _mass(body: LinkInertia | None) -> float | None:

@@ -215,8 +215,12 @@ def base_table(base: BaseParameters, model: RobotModel) -> Table:
         Column("value", align="decimal", of=lambda k: float(values[k])),
     )
     title = f"{base.robot}: {n} base parameters of {base.n_standard} standard parameters"
-    important = None if n <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS))
-    return Table.of(range(n), columns, title, important=important)
+    return Table.of(
+        range(n),
+        columns,
+        title,
+        important=None if n <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS)),
+    )
 
 
 def identifiability_table(base: BaseParameters) -> Table:

@@ -97,9 +97,10 @@ class _Messages:
         stamp = self.types.types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
         if kind == STATE:
             empty = np.empty(0)
-            header = self.types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
             given = {"position": empty, "velocity": empty, "effort": empty} | fields
-            message = self.types.types[kind](header=header, **given)
+            message = self.types.types[kind](
+                header=self.types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=""), **given
+            )
         else:
             message = self.types.types[kind](
                 stamp=stamp, name="asbuilt", file="", function="", line=0, **fields
@@ -172,8 +173,11 @@ def _write_timeline(rerun: Any, stream: Any, timeline: Timeline, above: list[str
             valid = np.isfinite(torque)
             lines = rerun.SeriesLines(colors=TRACK_COLOURS[track.name], names=track.name)
             stream.log(place, lines, static=True)
-            columns = rerun.Scalars.columns(scalars=torque[valid])
-            stream.send_columns(rerun.new_entity_path(place), [_times(rerun, t[valid])], columns)
+            stream.send_columns(
+                rerun.new_entity_path(place),
+                [_times(rerun, t[valid])],
+                rerun.Scalars.columns(scalars=torque[valid]),
+            )
     if timeline.marks:
         texts = rerun.TextLog.columns(
             text=[mark.text for mark in timeline.marks],

@@ -124,8 +124,10 @@ class EnsembleFiles:
 
     def as_document(self) -> dict[str, Any]:
         """Return what `ensemble.json` holds, with the paths of the files."""
-        models = [str(path) for path in self.models]
-        return {**self.document, "files": {**path_texts(self.files), "models": models}}
+        return {
+            **self.document,
+            "files": {**path_texts(self.files), "models": [str(path) for path in self.models]},
+        }
 
     def as_text(self, full: bool = False) -> str:
         """Return the ranges of drives and servo, `full` of the links too, the files and notes."""
