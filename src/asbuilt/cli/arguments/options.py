@@ -269,10 +269,8 @@ class Filtering:
 def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
     """Return a delay as a signal chain takes it; raises `UsageError` on anything else."""
     word = text.strip().lower()
-    if word == "auto":
-        return "auto"
-    if word == "none":
-        return None
+    if word in ("auto", "none"):
+        return "auto" if word == "auto" else None
     try:
         values = number_list("--delay", text)
     except UsageError:

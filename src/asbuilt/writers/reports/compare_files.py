@@ -26,6 +26,7 @@ from asbuilt.writers.reports.cards import determination_card, difference_card, t
 from asbuilt.writers.reports.page import (
     Block,
     Card,
+    Mood,
     cards_markup,
     image_markup,
     list_markup,
@@ -108,7 +109,6 @@ class CadVerdict:
         cards = [
             *([torque_card(comparison)] if comparison.torque else []),
             difference_card(comparison),
-            *([] if found is None else [_explained_card(found)]),
             determination_card(self.determination),
         ]
         said = (
@@ -128,6 +128,9 @@ class CadVerdict:
         causes: tuple[Markup, ...] = ()
         drawn = Markup("")
         if found is not None:
+            mood: Mood = "good" if found.explained > 0.9 else "bad"
+            label = "of the squared CAD error explained by causes"
+            cards.insert(-1, Card(mood, share(found.explained), label))
             causes = (
                 image_markup(
                     figure_address(attribution_figure(found)),
@@ -167,15 +170,6 @@ class CadVerdict:
             subtitle=f"Identified from {sources}"
             + (f"; validated on {comparison.judged_by}" if comparison.judged_by else ""),
         )
-
-
-def _explained_card(attribution: Attribution) -> Card:
-    explained = attribution.explained
-    return Card(
-        "good" if explained > 0.9 else "bad",
-        share(explained),
-        "of the squared CAD error explained by causes",
-    )
 
 
 def write_comparison(

@@ -9,8 +9,9 @@ from __future__ import annotations
 import io
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -48,71 +49,59 @@ def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> P
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise MissingExtraError("mcap", "bags", f"writing {path}") from error
-    stream = io.BytesIO()
-    writer = Writer(stream)
+    stream, written = io.BytesIO(), list[tuple[int, int, bytes]]()
+    writer: Any = Writer(stream)
+    store = get_typestore(Stores.ROS2_HUMBLE)
     writer.start(profile="ros2", library="asbuilt")
-    messages = _Messages(writer, get_typestore(Stores.ROS2_HUMBLE))
+    schemas = {
+        kind: writer.register_schema(
+            kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()
+        )
+        for kind in (STATE, LOG)
+    }
     for timeline in timelines:
         name = "".join(c if c.isalnum() else "_" for c in timeline.name)
-        messages.add(timeline, f"/{name}" if len(timelines) > 1 else "")
-    messages.finish()
+        prefix, begin = f"/{name}" if len(timelines) > 1 else "", min(timeline.start, 0.0)
+        for topic, kind, messages in _topics(timeline):
+            channel = writer.register_channel(f"{prefix}/{topic}", "cdr", schemas[kind])
+            for time, fields in messages:
+                nanoseconds = round((time - begin) * 1e9)
+                data = _serialised(store, kind, nanoseconds, fields)
+                written.append((nanoseconds, channel, data))
+    # Viewers read messages in the order of time.
+    for nanoseconds, channel, data in sorted(written, key=itemgetter(0)):
+        writer.add_message(channel, nanoseconds, data, nanoseconds)
+    writer.finish()
     return atomic_write(path, stream.getvalue())
 
 
-class _Messages:
-    """Messages of a file, with the definitions of their types."""
+def _topics(
+    timeline: Timeline,
+) -> Iterator[tuple[str, str, list[tuple[float, dict[str, Any]]]]]:
+    """Yield each topic of a timeline, its type, and times and fields of its messages."""
+    names = list(timeline.model.joint_names)
+    for track in timeline.tracks:
+        samples = _samples(track, names)
+        efforts = [(t, {"name": joints, "effort": torque}) for t, joints, torque in samples]
+        yield track.name, STATE, efforts
+    moved = zip(timeline.t.tolist(), timeline.q, strict=True)
+    yield "position", STATE, [(t, {"name": names, "position": q}) for t, q in moved]
+    marks = [
+        (mark.time, {"level": LEVELS[mark.severity], "msg": mark.text}) for mark in timeline.marks
+    ]
+    yield "events", LOG, marks
 
-    def __init__(self, writer: Any, store: Any) -> None:
-        self.writer, self.types = writer, store
-        self.written: list[tuple[int, int, bytes]] = []
-        self.schemas = {
-            name: writer.register_schema(
-                name, "ros2msg", store.generate_msgdef(name, ros_version=2)[0].encode()
-            )
-            for name in (STATE, LOG)
-        }
 
-    def add(self, timeline: Timeline, prefix: str) -> None:
-        """Add a timeline, topic by topic."""
-        begin = min(timeline.start, 0.0)
-        names = list(timeline.model.joint_names)
-        for track in timeline.tracks:
-            channel = self._channel(f"{prefix}/{track.name}", STATE)
-            for time, joints, torque in _samples(track, names):
-                self._message(channel, STATE, time - begin, name=joints, effort=torque)
-        channel = self._channel(f"{prefix}/position", STATE)
-        for time, q in zip(timeline.t.tolist(), timeline.q, strict=True):
-            self._message(channel, STATE, time - begin, name=names, position=q)
-        channel = self._channel(f"{prefix}/events", LOG)
-        for mark in timeline.marks:
-            self._message(
-                channel, LOG, mark.time - begin, level=LEVELS[mark.severity], msg=mark.text
-            )
-
-    def _channel(self, topic: str, kind: str) -> int:
-        return int(self.writer.register_channel(topic, "cdr", self.schemas[kind]))
-
-    def _message(self, channel: int, kind: str, time: float, **fields: Any) -> None:
-        nanoseconds = round(time * 1e9)
-        stamp = self.types.types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
-        if kind == STATE:
-            empty = np.empty(0)
-            given = {"position": empty, "velocity": empty, "effort": empty} | fields
-            message = self.types.types[kind](
-                header=self.types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=""), **given
-            )
-        else:
-            message = self.types.types[kind](
-                stamp=stamp, name="asbuilt", file="", function="", line=0, **fields
-            )
-        data = bytes(self.types.serialize_cdr(message, kind))
-        self.written.append((nanoseconds, channel, data))
-
-    def finish(self) -> None:
-        """Write the messages in the order of time, in which viewers read them."""
-        for nanoseconds, channel, data in sorted(self.written, key=lambda each: each[0]):
-            self.writer.add_message(channel, nanoseconds, data, nanoseconds)
-        self.writer.finish()
+def _serialised(store: Any, kind: str, nanoseconds: int, fields: Mapping[str, Any]) -> bytes:
+    """Return a message of a type, the fields that are not given empty."""
+    types, empty = store.types, np.empty(0)
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+    usual = {
+        STATE: {"header": header, "position": empty, "velocity": empty, "effort": empty},
+        LOG: {"stamp": stamp, "name": "asbuilt", "file": "", "function": "", "line": 0},
+    }
+    return bytes(store.serialize_cdr(types[kind](**{**usual[kind], **fields}), kind))
 
 
 def _samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[str], Array]]:
@@ -126,7 +115,6 @@ def _samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[str],
             yield time, [name], np.array([value])
 
 
-TIME = "time"
 RERUN_LEVELS: dict[Severity, str] = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 TRACK_COLOURS: dict[str, tuple[int, int, int]] = {
     "measured": (0, 114, 178),
@@ -183,10 +171,8 @@ def _write_timeline(rerun: Any, stream: Any, timeline: Timeline, above: list[str
             text=[mark.text for mark in timeline.marks],
             level=[RERUN_LEVELS[mark.severity] for mark in timeline.marks],
         )
-        times = np.array([mark.time for mark in timeline.marks])
-        stream.send_columns(
-            rerun.new_entity_path([*above, "events"]), [_times(rerun, times)], texts
-        )
+        times = _times(rerun, np.array([mark.time for mark in timeline.marks]))
+        stream.send_columns(rerun.new_entity_path([*above, "events"]), [times], texts)
 
 
 def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) -> None:
@@ -210,7 +196,7 @@ def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) 
 
 
 def _times(rerun: Any, t: Array) -> Any:
-    return rerun.TimeColumn(TIME, duration=t)
+    return rerun.TimeColumn("time", duration=t)
 
 
 SEVERITY_OF_EVENT: dict[str, Severity] = {
