@@ -1,7 +1,7 @@
-from .figures.cutoff_figure import cutoff_figure as cutoff_figure
 from .figures.figure_style import save_figure as save_figure
 from .figures.recording_figures import energy_figure as energy_figure
-from .figures.torque_figure import torque_figure as torque_figure
+from .figures.study_figures import cutoff_figure as cutoff_figure
+from .figures.study_figures import torque_figure as torque_figure
 from .files import file_lines as file_lines
 from .files import path_texts as path_texts
 from .files import with_files as with_files

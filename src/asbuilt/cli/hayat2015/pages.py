@@ -25,7 +25,7 @@ from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.tables import stacked, wrapped
 from asbuilt.writers.figures.figure_style import blank_figure, headline, save_figure, styled
-from asbuilt.writers.figures.torque_figure import torque_figure
+from asbuilt.writers.figures.study_figures import torque_figure
 from asbuilt.writers.files import atomic_write, data_address, path_texts
 from asbuilt.writers.reports.page import Block, image_markup, list_markup, page, table_markup
 

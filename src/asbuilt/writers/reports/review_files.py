@@ -24,8 +24,8 @@ from asbuilt.tables import (
 from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.letter import LETTERS
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
+from asbuilt.writers.figures.comparison_figures import review_figure
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
-from asbuilt.writers.figures.review_figure import review_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
     Block,

@@ -22,7 +22,7 @@ from asbuilt.writers.reports.page import (
     section_markup,
     table_markup,
 )
-from asbuilt.writers.reports.sections.rollout import TEMPLATE, rollout_fields
+from asbuilt.writers.reports.sections.prediction import ROLLOUT, rollout_fields
 
 
 def write_rollouts(
@@ -54,7 +54,7 @@ def rollout_html(
         table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
     ]
     said = list_markup(each.text for each in rollout_findings(rollouts))
-    motion = section_markup(TEMPLATE, rollout_fields(model, rollouts))
+    motion = section_markup(ROLLOUT, rollout_fields(model, rollouts))
     return page(
         model.name,
         ", ".join(logs),

@@ -13,7 +13,7 @@ from asbuilt.findings import Cure
 from asbuilt.identification.result.result import FIGURES, IdentificationResult
 from asbuilt.identification.result.torque_prediction import Prediction
 from asbuilt.writers.figures.figure_style import AS_BUILT, GREY, INK, blank_figure, headline, styled
-from asbuilt.writers.figures.torque_figure import draw_errors, draw_torque, torque_label
+from asbuilt.writers.figures.study_figures import draw_errors, draw_torque, torque_label
 
 Axes = NDArray[np.object_]
 
