@@ -24,6 +24,7 @@ from asbuilt.cli.arguments.options import (
     Robot,
     Scheduler,
     Seed,
+    TimelineFiles,
     described_robot,
     distinct_logs,
     refuse_idle,
@@ -31,7 +32,6 @@ from asbuilt.cli.arguments.options import (
     robot_and_recordings,
     shared_work,
 )
-from asbuilt.cli.arguments.timelines import TimelineFiles
 from asbuilt.workflow.options import (
     AUTOMATIC,
     PayloadOptions,

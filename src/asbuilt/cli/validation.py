@@ -37,6 +37,7 @@ from asbuilt.cli.arguments.options import (
     Result,
     Robot,
     Scheduler,
+    TimelineFiles,
     Unchecked,
     described_robot,
     distinct_logs,
@@ -48,7 +49,6 @@ from asbuilt.cli.arguments.options import (
     writable_file,
 )
 from asbuilt.cli.arguments.spread import given_options
-from asbuilt.cli.arguments.timelines import TimelineFiles
 from asbuilt.tables import wrapped
 from asbuilt.workflow.options import (
     BLOCKS,

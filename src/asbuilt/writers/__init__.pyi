@@ -9,9 +9,9 @@ from .models.as_built import as_built as as_built
 from .models.convert import Conversion as Conversion
 from .models.convert import convert_robot as convert_robot
 from .models.convert import write_masses as write_masses
-from .models.ensembles.ensemble_files import EnsembleFiles as EnsembleFiles
-from .models.ensembles.ensemble_files import ensemble_model as ensemble_model
-from .models.ensembles.ensemble_files import write_ensemble as write_ensemble
+from .models.ensembles import EnsembleFiles as EnsembleFiles
+from .models.ensembles import ensemble_model as ensemble_model
+from .models.ensembles import write_ensemble as write_ensemble
 from .models.export import Export as Export
 from .models.export import export_result as export_result
 from .pictures.motion_view import motion_of_recording as motion_of_recording
@@ -88,8 +88,8 @@ from .tables.tabular import described_torque_table as described_torque_table
 from .tables.tabular import identify_document as identify_document
 from .tables.tabular import validate_document as validate_document
 from .tables.tabular import write_json as write_json
-from .timelines.timeline_files import Timeline as Timeline
-from .timelines.timeline_files import timeline_of_watched as timeline_of_watched
-from .timelines.timeline_files import timelines_of_validations as timelines_of_validations
-from .timelines.timeline_files import write_mcap as write_mcap
-from .timelines.timeline_files import write_rrd as write_rrd
+from .timelines import Timeline as Timeline
+from .timelines import timeline_of_watched as timeline_of_watched
+from .timelines import timelines_of_validations as timelines_of_validations
+from .timelines import write_mcap as write_mcap
+from .timelines import write_rrd as write_rrd

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from filecmp import cmp
@@ -24,7 +24,6 @@ from asbuilt.writing import check_replaceable, check_writable
 if TYPE_CHECKING:
     from asbuilt.executor import Workers
     from asbuilt.experiment.logs.long_recordings import RecordingStream
-
 
 POSITIVE = Range(1e-9, 1e9)
 """Positive numbers of options: frequencies, durations, masses."""
@@ -396,3 +395,34 @@ def positive_number(option: str, text: str) -> float:
     if not POSITIVE.holds(value):
         raise UsageError(f"{option} takes a number {POSITIVE}, got {text[:60]!r}")
     return value
+
+
+@dataclass(frozen=True)
+class TimelineFiles:
+    """The files in which a viewer shows measured and predicted torques over time."""
+
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            "--mcap",
+            metavar="FILE",
+            help="measured and predicted torques and events, for Foxglove and PlotJuggler",
+            callback=writable_file,
+        ),
+    ] = None
+    rrd: Annotated[
+        Path | None,
+        typer.Option(
+            "--rrd",
+            metavar="FILE",
+            help="the same with the moving robot, for rerun",
+            callback=writable_file,
+        ),
+    ] = None
+
+    def write(self, timelines: Callable[[], Sequence[writers.Timeline]]) -> dict[str, Path]:
+        """Write the files that are asked for, and return their paths by kind."""
+        kinds = {"mcap": (self.mcap, writers.write_mcap), "rrd": (self.rrd, writers.write_rrd)}
+        asked = {kind: each for kind, each in kinds.items() if each[0] is not None}
+        made = timelines() if asked else ()
+        return {kind: write(path, made) for kind, (path, write) in asked.items() if path}

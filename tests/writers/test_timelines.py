@@ -12,7 +12,7 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Finding
 from asbuilt.validation.prediction import Validation, validate_samples
-from asbuilt.writers.timelines.timeline_files import (
+from asbuilt.writers.timelines import (
     Timeline,
     Track,
     timelines_of_validations,
