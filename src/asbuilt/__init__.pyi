@@ -94,8 +94,8 @@ from .workflow.watching.options import WatchOptions as WatchOptions
 from .workflow.watching.watch import watch as watch
 from .workflow.watching.watched_log import read_thresholds as read_thresholds
 from .writers.models.convert import convert_robot as convert_robot
-from .writers.models.ensembles.ensemble_files import ensemble_model as ensemble_model
-from .writers.models.ensembles.ensemble_files import write_ensemble as write_ensemble
+from .writers.models.ensembles import ensemble_model as ensemble_model
+from .writers.models.ensembles import write_ensemble as write_ensemble
 from .writers.models.export import export_result as export_result
 from .writers.pictures.view import view_robot as view_robot
 from .writers.programs.program import make_program as make_program

@@ -15,7 +15,7 @@ from asbuilt.experiment.free_base.base_checks import free_base_findings
 from asbuilt.experiment.free_base.columns import base_rotations
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.recording import Recording
-from asbuilt.writers.models.as_built import as_built_model
+from asbuilt.writers.models.as_built import as_built
 
 FEET = "FL_FOOT,FR_FOOT,HL_FOOT,HR_FOOT"
 
@@ -59,6 +59,6 @@ def test_solo12_predicts_its_last_eight_seconds(solo: RobotModel, log: Recording
     assert held.metrics_as_built.relative_error < 0.05
     assert held.metrics_as_built.relative_error < held.metrics_cad.relative_error
     assert study.result.physically_consistent
-    built = as_built_model(study.result)
+    built = as_built(study.result).model
     assert sum(link.inertia.mass for link in built.links) == pytest.approx(2.50, rel=0.03)
     assert "poorly_determined" in {finding.code for finding in study.findings}

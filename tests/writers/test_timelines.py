@@ -12,8 +12,13 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Finding
 from asbuilt.validation.prediction import Validation, validate_samples
-from asbuilt.writers.timelines.timeline import Timeline, Track, timelines_of_validations
-from asbuilt.writers.timelines.timeline_files import write_mcap, write_rrd
+from asbuilt.writers.timelines import (
+    Timeline,
+    Track,
+    timelines_of_validations,
+    write_mcap,
+    write_rrd,
+)
 from example_identification import Example
 
 
