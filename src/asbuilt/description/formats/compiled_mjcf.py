@@ -1,4 +1,4 @@
-"""What MuJoCo compiles of an MJCF model beside its bodies: actuators, couplings and loops."""
+"""Actuators, couplings and loops of a model that MuJoCo has compiled."""
 
 from __future__ import annotations
 

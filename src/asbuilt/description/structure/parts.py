@@ -219,9 +219,10 @@ class Link:
     def of_parts(
         cls, name: str, parts: Sequence[tuple[str, LinkInertia]], *, known: bool = True
     ) -> Link:
-        """Return the link of bodies over fixed joints, which are kept unless it is one of its name.
+        """Return the link of bodies that fixed joints hold together, all in the link's frame.
 
-        A link without parts has an inertia of zero, which is `known` or not given.
+        A single body that has the link's name is no part of its own. Without bodies the inertia is
+        zero, which is `known` or stands for one that is not given.
         """
         total = LinkInertia(
             np.sum([inertia.parameters for _, inertia in parts] or [np.zeros(10)], 0)

@@ -194,14 +194,10 @@ def _symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
             first + per * link + int(c): Polynomial.number(float(change[c]))
             for c in np.flatnonzero(change)
         }
-    for redundant in found.structure.redundant:
-        rows.append(
-            {
-                first + int(c): Polynomial.number(float(redundant[c]))
-                for c in np.flatnonzero(redundant)
-            }
-        )
-    return rows
+    return rows + [
+        {first + int(c): Polynomial.number(float(redundant[c])) for c in np.flatnonzero(redundant)}
+        for redundant in found.structure.redundant
+    ]
 
 
 def _function_units(

@@ -39,7 +39,7 @@ from asbuilt.experiment.quality.position_checks import (
     encoder_findings,
     position_findings,
 )
-from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed_motion
+from asbuilt.experiment.quality.reductions import UniformSegments, smoothed_motion
 from asbuilt.experiment.quality.torque.signal_checks import (
     filter_findings,
     missing_channel_findings,

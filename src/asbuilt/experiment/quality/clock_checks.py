@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.experiment.quality.passes import FirstPass, Missing
-from asbuilt.experiment.quality.smoothed_motion import GAP_STEPS
+from asbuilt.experiment.quality.reductions import GAP_STEPS
 from asbuilt.findings import Cure, Finding, joined
 
 

@@ -16,8 +16,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.gravity_load import DEGREE, LARGEST_RADIANS, unit_by_gravity
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.running_statistics import IN_STEP
-from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.reductions import IN_STEP, SmoothedMotion
 from asbuilt.experiment.quality.velocity_checks import velocity_findings
 from asbuilt.findings import Cure, Finding, joined
 

@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array, Indices, Mask, any_of
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.quality.running_statistics import Exceedance, Extremes, PositionMoments
+from asbuilt.experiment.quality.reductions import Exceedance, Extremes, PositionMoments
 from asbuilt.experiment.recording import Recording, median_rate, time_span
 from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
 from asbuilt.findings import Cure

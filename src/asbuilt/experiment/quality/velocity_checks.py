@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from asbuilt.arrays import Array
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.findings import Cure, Finding, joined
 
 LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")

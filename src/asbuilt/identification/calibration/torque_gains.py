@@ -108,38 +108,40 @@ class TorqueGains:
 
     def sentences(self) -> tuple[str, ...]:
         """Return notes on the gains."""
-        said = [
-            f"given for the payload: {', '.join(self.known)}; estimated payload: {self._found()}"
-        ]
         undetermined = self._named(~self.determined)
-        if undetermined:
-            said.append(
-                f"undetermined, so {self._instead()}: {undetermined}; the payload has little"
-                " effect on these joints, or its centre or inertia is unknown"
-            )
+        instead = "identify finds it" if self.of_command else "the gain in use stays"
         turned = self.determined & (self.factors < 0)
-        if turned.any():
-            said.append(
+        small = self._named(self.payload_share < RULES.small_share)
+        notes = (
+            (
+                True,
+                f"given for the payload: {', '.join(self.known)}; estimated payload:"
+                f" {self._found()}",
+            ),
+            (
+                undetermined,
+                f"undetermined, so {instead}: {undetermined}; the payload has little"
+                " effect on these joints, or its centre or inertia is unknown",
+            ),
+            (
+                turned.any(),
                 "the torque in use has the opposite sign at"
                 f" {'every joint' if turned.all() else self._named(turned)}; these gains reverse"
-                " it, so keep all other sign settings"
-            )
-        if self.of_command:
-            said.append(
+                " it, so keep all other sign settings",
+            ),
+            (
+                self.of_command,
                 "the gains are the stiffnesses of the position servos; identify takes them as"
-                " exact, so add their relative errors to those of the torques"
-            )
-        small = self._named(self.payload_share < RULES.small_share)
-        if small:
-            said.append(
+                " exact, so add their relative errors to those of the torques",
+            ),
+            (
+                small,
                 f"the payload is below {100 * RULES.small_share:.0f} % of the torque of {small};"
                 " these gains depend on other joints and on the friction model beyond their"
-                " standard errors"
-            )
-        return tuple(said)
-
-    def _instead(self) -> str:
-        return "identify finds it" if self.of_command else "the gain in use stays"
+                " standard errors",
+            ),
+        )
+        return tuple(note for holds, note in notes if holds)
 
     def _named(self, chosen: NDArray[np.bool_]) -> str:
         return ", ".join(

@@ -278,18 +278,25 @@ def draw_ensemble(
     asked = np.vstack([result.estimates, drawn])
     chi, chi_square = consistent_draws(prior, result.base, asked, root, workers=workers)
     centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
-    if result.servo_errors is not None and result.servo_errors.lead:
-        notes.append(
+    far = chi_square > 1.0
+    lead = 0.0 if result.servo_errors is None else result.servo_errors.lead
+    possible = (
+        (
+            lead,
             "the lead of the servo is the identified one in every draw; its standard error is"
-            f" {1e3 * result.servo_errors.lead:.2g} ms"
-        )
-    if any(term.nonlinear for term in result.base.drive.terms):
-        notes.append("nonlinear parameters of drive terms are the identified ones in every draw")
-    if np.any(far := chi_square > 1.0):
-        notes.append(
+            f" {1e3 * lead:.2g} ms",
+        ),
+        (
+            any(term.nonlinear for term in result.base.drive.terms),
+            "nonlinear parameters of drive terms are the identified ones in every draw",
+        ),
+        (
+            np.any(far),
             f"{np.sum(far)} of {n} draws were physically impossible; the nearest possible robot"
-            " stands for each"
-        )
+            " stands for each",
+        ),
+    )
+    notes += [note for holds, note in possible if holds]
     notes += _heavy(result, chi)
     return Ensemble(result, chi, centre, kp, kd, delay, chi_square, tuple(notes))
 
@@ -297,11 +304,12 @@ def draw_ensemble(
 def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
     """Return a note on links whose mass in the draws (N, n_standard) is far from that of CAD."""
     masses = np.quantile(drawn[:, 9 : 10 * result.model.n_links : 10], QUANTILES, axis=0)
-    unlike = []
-    for link, (low, _, high) in zip(result.model.links, masses.T, strict=True):
-        cad = link.inertia.mass
-        if link.has_mass and (high > UNLIKE * cad or low < cad / UNLIKE):
-            unlike.append(f"{link.name} {low:.3g} to {high:.3g} kg, CAD {cad:.3g} kg")
+    cad = [link.inertia.mass for link in result.model.links]
+    unlike = [
+        f"{link.name} {low:.3g} to {high:.3g} kg, CAD {mass:.3g} kg"
+        for link, mass, (low, _, high) in zip(result.model.links, cad, masses.T, strict=True)
+        if link.has_mass and (high > UNLIKE * mass or low < mass / UNLIKE)
+    ]
     if not unlike:
         return []
     return [

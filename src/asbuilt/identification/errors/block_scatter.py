@@ -66,27 +66,19 @@ class ErrorBasis:
         blocks = f"{self.n_blocks} time blocks" + (
             f" of {self.block_seconds:.3g} s" if self.block_seconds else ""
         )
-        if self.kind == "blocks":
-            return (
-                f"Standard errors (blocks): by formula from {blocks}, allowing for residual"
-                f" correlation within them ({worth})."
-            )
-        if self.kind == "bootstrap":
-            held = f", with {joined(self.held_fixed)} held fixed" if self.held_fixed else ""
-            return (
-                f"Standard errors (bootstrap): scatter of {self.n_draws} fits to {blocks} drawn"
-                f" with replacement{held} ({worth})."
-            )
-        if self.kind == "textbook":
-            return (
-                f"Standard errors (textbook): residuals taken as independent, {self._too_small()}."
-            )
-        if self.kind == "siblings":
-            return (
-                "Standard errors (siblings): of the posterior, with the spread of the siblings and"
-                f" residual correlation ({worth})."
-            )
-        return f"Standard errors allow for residual correlation ({worth})."
+        held = f", with {joined(self.held_fixed)} held fixed" if self.held_fixed else ""
+        sentences = {
+            "blocks": f"Standard errors (blocks): by formula from {blocks}, allowing for residual"
+            f" correlation within them ({worth}).",
+            "bootstrap": f"Standard errors (bootstrap): scatter of {self.n_draws} fits to {blocks}"
+            f" drawn with replacement{held} ({worth}).",
+            "textbook": "Standard errors (textbook): residuals taken as independent,"
+            f" {self._too_small()}.",
+            "siblings": "Standard errors (siblings): of the posterior, with the spread of the"
+            f" siblings and residual correlation ({worth}).",
+        }
+        usual = f"Standard errors allow for residual correlation ({worth})."
+        return sentences.get(self.kind, usual)
 
     def _too_small(self) -> str:
         if self.growth is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from datetime import timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -58,20 +57,22 @@ def suspicions(ledger: Ledger, robot_id: str) -> list[Finding]:
 def _overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     """Return a finding for logs of one robot that were recorded at the same time."""
     stamped = [entry for entry in entries if entry.date_from == "stamps"]
-    found = []
-    for earlier, later in pairwise(sorted(stamped, key=lambda each: each.date)):
-        overlap = (earlier.date + timedelta(seconds=earlier.duration) - later.date).total_seconds()
-        if overlap > 1.0:
-            found.append(
-                Finding(
-                    "logs_overlap",
-                    "warning",
-                    f"{robot_id}: {later.log} begins {overlap:.0f} s before {earlier.log} ends;"
-                    " one robot records one log at a time",
-                    Cure("look for two robots under one identity, or a clock that was set back"),
-                )
-            )
-    return found
+    pairs = pairwise(sorted(stamped, key=lambda each: each.date))
+    overlaps = (
+        (earlier, later, (earlier.date - later.date).total_seconds() + earlier.duration)
+        for earlier, later in pairs
+    )
+    return [
+        Finding(
+            "logs_overlap",
+            "warning",
+            f"{robot_id}: {later.log} begins {overlap:.0f} s before {earlier.log} ends;"
+            " one robot records one log at a time",
+            Cure("look for two robots under one identity, or a clock that was set back"),
+        )
+        for earlier, later, overlap in overlaps
+        if overlap > 1.0
+    ]
 
 
 def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:

@@ -149,20 +149,23 @@ def calibration_findings(thresholds: Thresholds) -> list[Finding]:
 
 def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
     """Return in what a log differs from what its thresholds were set on, and what it lacks."""
-    found = []
     rate, top = log.rate, log.top_speed
-    if log.left_out:
-        found.append(
+    faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
+    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
+    names = joined([thresholds.joint_names[k] for k in faster])
+    possible = (
+        (
+            log.left_out,
             Finding(
                 "rows_left_out",
                 "warning",
                 f"{log.left_out} rows were left out: values that are not finite, or times that do"
                 " not advance; no contact is seen in gaps of more than 0.1 s",
                 Cure("find out why the logger lost them", call="check_recording"),
-            )
-        )
-    if not 1.0 / RULES.other_rate < rate / thresholds.rate < RULES.other_rate:
-        found.append(
+            ),
+        ),
+        (
+            not 1.0 / RULES.other_rate < rate / thresholds.rate < RULES.other_rate,
             Finding(
                 "rate_of_thresholds",
                 "warning",
@@ -170,25 +173,22 @@ def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
                 f" thresholds {thresholds.rate:.4g}; noise differs, so the rate of false alarms"
                 " is not verified",
                 Cure("set the thresholds on recordings of this rate", {"calibrate": "LOG"}),
-            )
-        )
-    faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
-    if not faster.size:
-        return found
-    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
-    names = joined([thresholds.joint_names[k] for k in faster])
-    found.append(
-        Finding(
-            "faster_than_thresholds",
-            "warning",
-            f"{names}: up to {top[worst]:.3g} rad/s or m/s in this log,"
-            f" {thresholds.top_speed[worst]:.3g} where the thresholds were set; false alarms may be"
-            " more frequent",
-            Cure("set the thresholds on motions as fast as those that are watched"),
-            joint=thresholds.joint_names[worst],
-        )
+            ),
+        ),
+        (
+            faster.size,
+            Finding(
+                "faster_than_thresholds",
+                "warning",
+                f"{names}: up to {top[worst]:.3g} rad/s or m/s in this log,"
+                f" {thresholds.top_speed[worst]:.3g} where the thresholds were set; false alarms"
+                " may be more frequent",
+                Cure("set the thresholds on motions as fast as those that are watched"),
+                joint=thresholds.joint_names[worst],
+            ),
+        ),
     )
-    return found
+    return [finding for holds, finding in possible if holds]
 
 
 def expected_size(result: IdentificationResult, model: Watched) -> Array:

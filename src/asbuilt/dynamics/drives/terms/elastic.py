@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
+from typing import ClassVar
 
 from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter, NonlinearValue, drive_term
 
@@ -138,9 +139,9 @@ class ExtensionSpring(DriveTerm):
     formula = "Ke (1 - length/l) inner outer sin(q + angle)"
     revolute_units = ("N/m",)
     prismatic_units = ("N/m",)
-    nonlinear = GEOMETRY
+    nonlinear: ClassVar[tuple[NonlinearParameter, ...]] = GEOMETRY
     by_construction = True
-    ratio_powers = (2.0,)
+    ratio_powers: ClassVar[tuple[float, ...]] = (2.0,)
 
 
 @drive_term

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+from typing import ClassVar
 
 from asbuilt.dynamics.drives.term import (
     ALL_SOURCES,
@@ -31,8 +32,8 @@ class Armature(DriveTerm):
     cause = "armature"
     non_negative = True
     ratio_powers = (2.0,)
-    default_for = MOTOR_SOURCES
-    tried_for = ("unknown",)
+    default_for: ClassVar[tuple[str, ...]] = MOTOR_SOURCES
+    tried_for: ClassVar[tuple[str, ...]] = ("unknown",)
 
 
 @drive_term
@@ -47,7 +48,7 @@ class Coulomb(DriveTerm):
     formula = "Fc sign(qd)"
     cause = "friction"
     non_negative = True
-    default_for = ALL_SOURCES
+    default_for: ClassVar[tuple[str, ...]] = ALL_SOURCES
 
 
 @drive_term
@@ -65,7 +66,7 @@ class Viscous(DriveTerm):
     cause = "friction"
     non_negative = True
     ratio_powers = (2.0,)
-    default_for = ALL_SOURCES
+    default_for: ClassVar[tuple[str, ...]] = ALL_SOURCES
 
 
 @drive_term

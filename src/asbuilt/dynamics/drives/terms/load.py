@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from asbuilt.dynamics.drives.term import (
     ALL_SOURCES,
     DriveTerm,
@@ -44,18 +46,18 @@ class LoadStribeck(DriveTerm):
     key = "load_stribeck"
     title = "load-dependent Stribeck friction"
     position = 62
-    symbols = ("Fls",)
-    columns = ("abs(load)*sign(qd)*exp(-abs(qd/velocity)**power)",)
+    symbols: ClassVar[tuple[str, ...]] = ("Fls",)
+    columns: ClassVar[tuple[str, ...]] = ("abs(load)*sign(qd)*exp(-abs(qd/velocity)**power)",)
     formula = "Fls |load| exp(-|qd/velocity|^power) sign(qd)"
-    revolute_units = ("1",)
-    prismatic_units = ("1",)
+    revolute_units: ClassVar[tuple[str, ...]] = ("1",)
+    prismatic_units: ClassVar[tuple[str, ...]] = ("1",)
     nonlinear = (
         NonlinearParameter(
             "velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
         ),
         NonlinearParameter("power", 2.0, 0.5, 10.0, "", fitted=False, typical=2.0),
     )
-    ratio_powers = (0.0,)
+    ratio_powers: ClassVar[tuple[float, ...]] = (0.0,)
 
 
 @drive_term

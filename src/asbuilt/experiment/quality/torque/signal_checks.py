@@ -15,7 +15,7 @@ from asbuilt.experiment.command.magnitude import (
     magnitude_laws,
 )
 from asbuilt.experiment.quality.passes import FirstPass, SecondPass
-from asbuilt.experiment.quality.running_statistics import Extremes
+from asbuilt.experiment.quality.reductions import Extremes
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.findings import Cure, Finding, joined

@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.passes import FirstPass
-from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.experiment.quality.torque.conventions import convention_finding, gravity_finding
 from asbuilt.experiment.quality.torque.stand_in import scale_without_masses
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment, swapped_torques

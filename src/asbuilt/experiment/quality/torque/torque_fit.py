@@ -17,7 +17,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import spring_columns
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 
 T = TypeVar("T")
 

@@ -282,27 +282,29 @@ def conclude_drift(
     decided = [_decided(each, rate_of.get(each.id), level) for each in robots]
     decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
     few = [each.id for each in robots if each.p_value is None]
-    said = list(findings)
-    if few:
-        shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
-        said.append(
+    shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
+    without = [each.robot_type for each in types if 0 < each.n_days - each.n_robots < 20]
+    possible = (
+        (
+            few,
             Finding(
                 "drift_too_few_days",
                 "info",
                 f"{len(few)} robots have logs of too few days to look for changes ({shown});"
                 f" {SCAN.before} before and {SCAN.after} after are needed",
-            )
-        )
-    without = [each.robot_type for each in types if 0 < each.n_days - each.n_robots < 20]
-    if without:
-        said.append(
+            ),
+        ),
+        (
+            without,
             Finding(
                 "drift_variation_uncertain",
                 "warning",
-                f"the natural variation of {without[0]} comes from few days; changes that are not"
-                " large are not found",
-            )
-        )
+                f"the natural variation of {''.join(without[:1])} comes from few days; changes that"
+                " are not large are not found",
+            ),
+        ),
+    )
+    said = [*findings, *(finding for holds, finding in possible if holds)]
     return FleetDrift(
         ledger,
         None if since is None else since.isoformat(),
