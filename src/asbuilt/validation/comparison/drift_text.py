@@ -87,11 +87,11 @@ def other_drives_sentence(
 
 def dropped_sentence(dropped: Mask) -> tuple[str, ...]:
     """Return a sentence if parameters were dropped and so not tested."""
-    said = (
+    sentence = (
         f"{np.count_nonzero(dropped)} parameters that one result or both dropped are not tested;"
         " their torque counts as change."
     )
-    return (said,) if dropped.any() else ()
+    return (sentence,) if dropped.any() else ()
 
 
 def friction_sentences(

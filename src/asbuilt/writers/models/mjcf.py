@@ -163,7 +163,7 @@ def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
         for joint in plain.joints
         if (numbers := joint.drive.terms.get("cylinder", {})).get("Pc") and not numbers.get("rate")
     ]
-    said = {
+    cases = {
         "the offsets of the drives are the bias of the actuators, which mj_inverse leaves out"
         f" (Fo [N m, or N for prismatic joints]: {', '.join(offsets)})": bool(offsets),
         "cylinders of constant force are left out, for a tendon has a force by its stiffness alone"
@@ -172,7 +172,7 @@ def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
         " than its width": any("smooth_coulomb" in joint.drive.terms for joint in model.joints),
     }
     return (
-        *(note for note, holds in said.items() if holds),
+        *(note for note, holds in cases.items() if holds),
         *left_out_drives(plain, CARRIED, "MJCF"),
     )
 

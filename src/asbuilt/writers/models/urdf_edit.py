@@ -122,7 +122,7 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     held = [
         f"{name} at {value:.4g}" for name, value in model.locked_joints.items() if name in joints
     ]
-    said = {
+    cases = {
         "the file rounds right angles (1.5708), which asbuilt reads as exact; taken literally they"
         f" change torques by up to {literal[worst]:.2g}"
         f" {'N m' if model.joints[worst].is_revolute else 'N'} (joint {model.joint_names[worst]})":
@@ -143,14 +143,14 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
         tuple(emptied),
         reread,
         literal,
-        (*(note for note, holds in said.items() if holds), *urdf_notes(model)),
+        (*(note for note, holds in cases.items() if holds), *urdf_notes(model)),
     )
 
 
 def urdf_notes(model: RobotModel) -> tuple[str, ...]:
     """Return notes on what changes torques and has no place in URDF."""
     plain, notes = in_plain_friction(model), []
-    for term, said in (
+    for term, note in (
         (
             "asymmetric_coulomb",
             "asymmetric Coulomb friction is written as symmetric friction; the offset holds the"
@@ -163,7 +163,7 @@ def urdf_notes(model: RobotModel) -> tuple[str, ...]:
         ),
     ):
         if any(term in joint.drive.terms for joint in model.joints):
-            notes.append(said)
+            notes.append(note)
     for key, symbol, unit in (
         ("armature", "Ia", "kg m^2, or kg for prismatic joints"),
         ("offset", "Fo", "N m, or N for prismatic joints"),

@@ -10,8 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.tables import Column, Table, significant
-from asbuilt.validation.prediction import Validation
-from asbuilt.validation.rollout.rollout import Rollout
+from asbuilt.validation import Rollout, Validation
 from asbuilt.writers.reports.page import table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
 from asbuilt.writers.tables.rollout_tables import rollout_table
