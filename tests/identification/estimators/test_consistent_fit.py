@@ -153,6 +153,7 @@ def test_the_belief_in_cad_is_what_the_distance_from_it_supports(trial, weight):
     found = supported_belief(case.information, prior, estimate.weights, estimate.standard, weight)
     assert found == pytest.approx(expected, rel=1e-6)
     assert estimate.belief == pytest.approx(min(weight, expected), rel=1e-6)
+    assert f"Standard errors use CAD with weight {estimate.belief:.3g}" in estimate.notes
 
 
 def test_the_quietest_noise_is_a_share_of_the_torque(trial):
