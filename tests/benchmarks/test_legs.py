@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
+from asbuilt.experiment.logs.recordings import fitted_recordings
 from legged_robots import LEGGED
-from legs import Walk, parameter_errors
+from legs import Walk, described, parameter_errors, recorded
 
 LEAST = 0.93
 """Least share of 95 % intervals with the truth."""
@@ -18,6 +21,18 @@ LEAST = 0.93
 def test_robots_weigh_what_their_figures_say(robot: str, mass: float) -> None:
     model = LEGGED[robot].model()
     assert sum(link.inertia.mass for link in model.links) == pytest.approx(mass, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("robot", "motion", "radius"), [("solo12", "squat", 0.016), ("go2", "step", 0.022)]
+)
+def test_feet_roll_on_their_balls(robot: str, motion: str, radius: float) -> None:
+    """A light robot that trots slips a little in MuJoCo, so that the Solo12 squats."""
+    cad, rng = described(robot), np.random.default_rng(4)
+    log = recorded(LEGGED[robot], cad, motion, 4.0, rng)
+    unstated = replace(cad, contacts=tuple(replace(each, radius=None) for each in cad.contacts))
+    for contact in fitted_recordings(unstated, [log])[0].contacts:
+        assert contact.radius == pytest.approx(radius, abs=1.5e-3)
 
 
 @pytest.mark.study
