@@ -37,8 +37,14 @@ def test_feet_roll_on_their_balls(robot: str, motion: str, radius: float) -> Non
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("robot", "motion"), [("solo12", "step"), ("solo12", "flight"), ("go2", "step")]
+    ("robot", "motion", "forces"),
+    [
+        ("solo12", "step", False),
+        ("solo12", "flight", False),
+        ("go2", "step", False),
+        ("go2", "step", True),
+    ],
 )
-def test_intervals_hold_the_truth(robot: str, motion: str) -> None:
-    ((error, std_error),) = parameter_errors(Walk(robot, (motion,)), 1)
+def test_intervals_hold_the_truth(robot: str, motion: str, forces: bool) -> None:
+    ((error, std_error),) = parameter_errors(Walk(robot, (motion,), forces=forces), 1)
     assert np.mean(np.abs(error) < 1.959964 * std_error) >= LEAST

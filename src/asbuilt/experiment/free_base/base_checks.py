@@ -16,6 +16,7 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
+from asbuilt.experiment.free_base.force_checks import force_findings
 from asbuilt.experiment.free_base.rolling_feet import rolling_radii
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined
@@ -54,6 +55,7 @@ def free_base_findings(model: RobotModel, recording: Recording) -> tuple[Finding
         return ()
     rates = np.gradient(part.q, part.t, axis=0)
     found = [*_velocity_findings(model, part, rates), *_acceleration_findings(model, part)]
+    found += force_findings(model, part, rates)
     if model.contacts and part.contact is not None:
         found += _contact_findings(model, part, rates)
     return tuple(found)
@@ -154,7 +156,11 @@ def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> 
     yield from _radius_findings(model, recording)
     closed = recording.contact > 0.5
     names = [contact.frame for contact in model.contacts]
-    never = [name for name, own in zip(names, closed.T, strict=True) if not own.any()]
+    never = [
+        name
+        for name, own in zip(names, closed.T, strict=True)
+        if not own.any() and f"contact_{name}_fx" not in recording.extra
+    ]
     if never and not _falls(model, recording):
         all_open = len(never) == len(names)
         yield Finding(
