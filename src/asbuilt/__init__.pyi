@@ -39,7 +39,7 @@ from .experiment.recording import Recording as Recording
 from .experiment.signal.preparation import prepare_samples as prepare_samples
 from .experiment.signal.samples import Samples as Samples
 from .experiment.signal.signal_chain import SignalChain as SignalChain
-from .experiment.virtual.free_motion import run_free as run_free
+from .experiment.virtual.simulation import run_free as run_free
 from .experiment.virtual.simulation import simulate_recording as simulate_recording
 from .experiment.virtual.virtual_robot import VirtualRobot as VirtualRobot
 from .findings import Cure as Cure
@@ -94,8 +94,8 @@ from .workflow.watching.options import WatchOptions as WatchOptions
 from .workflow.watching.watch import watch as watch
 from .workflow.watching.watched_log import read_thresholds as read_thresholds
 from .writers.models.convert import convert_robot as convert_robot
-from .writers.models.ensembles.ensemble_files import ensemble_model as ensemble_model
-from .writers.models.ensembles.ensemble_files import write_ensemble as write_ensemble
+from .writers.models.ensembles import ensemble_model as ensemble_model
+from .writers.models.ensembles import write_ensemble as write_ensemble
 from .writers.models.export import export_result as export_result
 from .writers.pictures.view import view_robot as view_robot
 from .writers.programs.program import make_program as make_program

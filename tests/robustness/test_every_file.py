@@ -24,8 +24,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
 from asbuilt.excitation.collision.capsules import surroundings
 from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.experiment.logs.formats.robot_learning.lerobot import read_lerobot
-from asbuilt.experiment.logs.formats.robot_learning.sage import read_sage
+from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import read_sheet
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger

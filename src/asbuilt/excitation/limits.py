@@ -8,12 +8,12 @@ from itertools import product
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import Joint, RobotModel
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion, read_only
+from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion
 from asbuilt.findings import Cure
 
 TRIED = 100

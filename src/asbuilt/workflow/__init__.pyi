@@ -13,12 +13,17 @@ from .fleet.ledger.ledger import open_ledger as open_ledger
 from .fleet.options import FleetDriftOptions as FleetDriftOptions
 from .fleet.options import FleetIdentification as FleetIdentification
 from .fleet.options import FleetOptions as FleetOptions
+from .fleet.overview import Overview as Overview
 from .fleet.overview import fleet_overview as fleet_overview
+from .fleet.reduction.add import Addition as Addition
 from .fleet.reduction.add import add_logs as add_logs
+from .fleet.reduction.log_task import LogReport as LogReport
 from .fleet.reduction.rebuild import rebuild_ledger as rebuild_ledger
+from .information_efficiency import RecordedInformation as RecordedInformation
 from .information_efficiency import recorded_information as recorded_information
 from .masses.link_masses import LinkMasses as LinkMasses
 from .masses.link_masses import link_masses as link_masses
+from .masses.mass_findings import LinkMass as LinkMass
 from .options import ChannelOptions as ChannelOptions
 from .options import ControllerOptions as ControllerOptions
 from .options import GainOptions as GainOptions

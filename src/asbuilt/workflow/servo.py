@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
-from asbuilt.experiment.command.slow_motion import moving_faster
+from asbuilt.experiment.command.usable_samples import moving_faster
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.signal.preparation import resolve_chain

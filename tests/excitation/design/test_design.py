@@ -63,7 +63,7 @@ def test_a_design_beats_fifty_random_motions(arm) -> None:
 
 @pytest.mark.parametrize(
     "robot",
-    [*(pytest.param(name, marks=pytest.mark.study) for name in ("two-link", "scara")), "ur10e"],
+    [*(pytest.param(name, marks=pytest.mark.study) for name in ("two-link", "ur10e")), "scara"],
 )
 def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> None:
     model = load_robot(robot)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -22,7 +22,6 @@ from asbuilt.excitation.design.route import Roadmap, route_through, segments_fre
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import Information, limited_model
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motions.motion import read_only
 from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPointMotion, violated
 from asbuilt.excitation.state_constraint import (
     STANDING,

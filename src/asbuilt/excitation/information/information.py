@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE
@@ -18,7 +18,6 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import read_only
 
 SCALING_STATES = 500
 """Random states over which the units of the parameters are averaged."""

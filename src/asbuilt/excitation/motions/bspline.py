@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline as SciPySpline
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import BasisMotion, Motion, read_only, way_point_array
+from asbuilt.excitation.motions.motion import BasisMotion, Motion, way_point_array
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import BasisMotion, Motion, read_only, way_point_array
+from asbuilt.excitation.motions.motion import BasisMotion, Motion, way_point_array
 from asbuilt.excitation.motions.parametrisation import (
     PARAMETRISATIONS,
     RICHNESS,

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import QUANTITIES, TIME_TOLERANCE, Motion, read_only
+from asbuilt.excitation.motions.motion import QUANTITIES, TIME_TOLERANCE, Motion
 
 JOIN_TOLERANCE = 1e-9
 """Largest jump of position and velocity between two motions that are joined, in rad, m and their
