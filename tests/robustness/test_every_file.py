@@ -30,8 +30,8 @@ from asbuilt.experiment.logs.sheet import read_sheet
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.result_files import read_result
 from asbuilt.workflow.study import identify
-from asbuilt.workflow.watching.threshold_files import read_thresholds, thresholds_text
 from asbuilt.workflow.watching.watch import watch
+from asbuilt.workflow.watching.watched_log import read_thresholds, thresholds_text
 from fleet_logs import MODEL, recording
 from robustness import corpus
 

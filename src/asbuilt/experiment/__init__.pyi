@@ -2,9 +2,12 @@ from .logs.formats.log_format import FORMATS as FORMATS
 from .logs.formats.log_format import LogFormat as LogFormat
 from .logs.formats.log_format import LogTable as LogTable
 from .logs.long_recordings import RecordingStream as RecordingStream
+from .logs.long_recordings import head_of as head_of
 from .logs.options import ReadingOptions as ReadingOptions
+from .logs.readers import find_sheet as find_sheet
 from .logs.readers import read_recording as read_recording
 from .logs.readers import read_recordings as read_recordings
+from .logs.recordings import Recorded as Recorded
 from .logs.recordings import as_recordings as as_recordings
 from .logs.sheet import RecordingSheet as RecordingSheet
 from .logs.sheet import read_sheet as read_sheet

@@ -187,7 +187,11 @@ def test_trusted_files_are_expanded_by_xacro_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "start", [["-m", "asbuilt"], ["-P", "-c", "from asbuilt.cli import run; run()"]]
+    "start",
+    [
+        ["-m", "asbuilt"],
+        pytest.param(["-P", "-c", "from asbuilt.cli import run; run()"], marks=pytest.mark.study),
+    ],
 )
 def test_modules_beside_a_robot_are_not_run(start: list[str], tmp_path: Path) -> None:
     pytest.importorskip("xacro")

@@ -259,13 +259,13 @@ class Frame:
 class Contact:
     """Name a frame at which the ground, or anything else, may push the robot.
 
-    A force acts `radius` [m] below its origin, as under a ball; of a `flat` one a moment too, as
-    under the sole of a foot.
+    A force acts `radius` [m] below its origin, as under a ball, or at it where the radius is not
+    stated; of a `flat` one a moment too, as under the sole of a foot.
     """
 
     frame: str
     flat: bool = False
-    radius: float = 0.0
+    radius: float | None = None
 
     @classmethod
     def parse(cls, text: str) -> tuple[Contact, ...]:
@@ -295,7 +295,7 @@ class Contact:
         return cls(name, radius=radius) if 0.0 <= radius < np.inf else None
 
     def __str__(self) -> str:
-        kind = "flat" if self.flat else f"{self.radius!r}" if self.radius else ""
+        kind = "flat" if self.flat else "" if self.radius is None else f"{self.radius!r}"
         return f"{self.frame}:{kind}" if kind else self.frame
 
 

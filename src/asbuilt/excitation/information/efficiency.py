@@ -18,7 +18,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.torque_limit import TorqueLimit
+from asbuilt.excitation.state_constraint import TorqueLimit
 
 Limits = tuple[tuple[float, ...], ...]
 """Lower, upper, velocity, acceleration and torque limits of the joints."""

@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
-from asbuilt.excitation.collision.clearance import Clearance
+from asbuilt.excitation.collision.constraint import Clearance
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motions.motion import JUMPING, Motion
 from asbuilt.findings import Cure
