@@ -95,7 +95,7 @@ def evaluate(text: str, symbols: Mapping[str, Any], functions: Sequence[Any]) ->
     >>> evaluate("a.__class__", {"a": 1}, [])
     Traceback (most recent call last):
     ...
-    asbuilt.description.formats.expansion.expressions.ExpressionError: a.__class__ is not allowed
+    asbuilt.description.formats.expansion.ExpressionError: a.__class__ is not allowed
     """
     return _Expression(symbols, functions).value(ast.parse(text.strip(), mode="eval").body)
 
