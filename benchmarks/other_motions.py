@@ -25,7 +25,7 @@ from scipy.special import stdtr
 
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain

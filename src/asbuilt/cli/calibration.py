@@ -209,7 +209,7 @@ def payload(
         recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
     )
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
-    from asbuilt.workflow.calibration.payload_study import identify_moments
+    from asbuilt.workflow.calibration import identify_moments
 
     options = replace(
         options,

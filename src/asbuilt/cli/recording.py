@@ -29,7 +29,7 @@ from asbuilt.cli.arguments.options import (
     writable_file,
 )
 from asbuilt.cli.arguments.spread import one_of
-from asbuilt.description.tool import tool_from_text
+from asbuilt.description.inertia import tool_from_text
 
 
 def check(
@@ -59,6 +59,8 @@ def check(
     )
 
     checks = [asbuilt.check_recording(model, recording) for recording in recordings]
+    # What limits a motion on legs is balance, of which limits of joints say nothing.
+    information = information and not model.n_floating
     carried = [
         workflow.recorded_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
@@ -263,7 +265,7 @@ def _simulate_free(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    from asbuilt.experiment.virtual.bodies import with_body
+    from asbuilt.experiment.virtual.presets import with_body
 
     moved = asbuilt.run_free(
         model if tool is None else with_body(model, tool, place),

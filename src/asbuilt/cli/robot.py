@@ -141,7 +141,7 @@ def base(
 
     The full text says why, parameter by parameter.
     """
-    from asbuilt.dynamics.drives.defaults import on_driven_joints
+    from asbuilt.dynamics.drives.torque import on_driven_joints
 
     model = described_robot(robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts)
     chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")

@@ -15,7 +15,6 @@ from .limits import LimitReport as LimitReport
 from .limits import MotionBounds as MotionBounds
 from .limits import check_motion as check_motion
 from .motions.bspline import BSplineMotion as BSplineMotion
-from .motions.concatenated import Concatenated as Concatenated
 from .motions.fourier import FourierMotion as FourierMotion
 from .motions.motion import Motion as Motion
 from .motions.motion import Trajectory as Trajectory
@@ -24,6 +23,7 @@ from .motions.motion_csv import read_motion as read_motion
 from .motions.motion_csv import times_to_end as times_to_end
 from .motions.parametrisation import PARAMETRISATIONS as PARAMETRISATIONS
 from .motions.parametrisation import Parametrisation as Parametrisation
+from .motions.piecewise import Concatenated as Concatenated
 from .motions.point_to_point import PointToPointMotion as PointToPointMotion
 from .motions.quintic import QuinticMotion as QuinticMotion
 from .motions.random_motion import random_fourier as random_fourier

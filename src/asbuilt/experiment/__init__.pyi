@@ -19,10 +19,10 @@ from .signal.preparation import prepare_samples as prepare_samples
 from .signal.preparation import resolve_chain as resolve_chain
 from .signal.samples import Samples as Samples
 from .signal.signal_chain import SignalChain as SignalChain
-from .virtual.data_logger import DataLogger as DataLogger
-from .virtual.free_motion import FreeMotion as FreeMotion
-from .virtual.free_motion import run_free as run_free
+from .virtual.sensors import DataLogger as DataLogger
 from .virtual.sensors import SensorNoise as SensorNoise
+from .virtual.simulation import FreeMotion as FreeMotion
+from .virtual.simulation import run_free as run_free
 from .virtual.simulation import simulate_recording as simulate_recording
 from .virtual.virtual_robot import SimulatedRecording as SimulatedRecording
 from .virtual.virtual_robot import VirtualRobot as VirtualRobot

@@ -1,6 +1,6 @@
-from .calibration.payload_study import identify_payload as identify_payload
-from .calibration.torques import find_gains as find_gains
-from .calibration.torques import identify_channels as identify_channels
+from .calibration import find_gains as find_gains
+from .calibration import identify_channels as identify_channels
+from .calibration import identify_payload as identify_payload
 from .controller_model import ControllerComparison as ControllerComparison
 from .controller_model import compare_controller as compare_controller
 from .cutoff_sweep import CutoffSweep as CutoffSweep
@@ -34,14 +34,14 @@ from .prepare import Prepared as Prepared
 from .prepare import prepare as prepare
 from .result_files import read_result as read_result
 from .result_files import read_study as read_study
-from .review import review as review
 from .simulation.rollout import roll_out_result as roll_out_result
 from .simulation.rollout import roll_out_robot as roll_out_robot
 from .study import Study as Study
 from .study import identify as identify
+from .validation import review as review
 from .validation import validate as validate
 from .validation import validate_robot as validate_robot
 from .watching.options import WatchOptions as WatchOptions
-from .watching.threshold_files import read_thresholds as read_thresholds
 from .watching.watch import watch as watch
 from .watching.watched_log import WatchedLog as WatchedLog
+from .watching.watched_log import read_thresholds as read_thresholds

@@ -13,8 +13,8 @@ from asbuilt.arrays import Array
 from asbuilt.codec import plain, restored
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.executor import Workers
 from asbuilt.experiment.logs.options import ReadingOptions

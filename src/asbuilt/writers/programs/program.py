@@ -9,7 +9,7 @@ from typing import Any
 
 from asbuilt.description import RobotModel, load_robot
 from asbuilt.excitation import Motion, read_motion
-from asbuilt.excitation.collision.clearance import clearance_along
+from asbuilt.excitation.collision.constraint import clearance_along
 from asbuilt.tables import wrapped
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.programs.format import (

@@ -14,7 +14,7 @@ from PIL import Image
 from asbuilt.arrays import Array
 from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
 from asbuilt.excitation import Design, MotionBounds, StaticDesign, design_findings
-from asbuilt.excitation.state_bounds import limited_model
+from asbuilt.excitation.information.information import limited_model
 from asbuilt.writers.figures.figure_style import blank_figure, figure_address, styled
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.motion_view import MotionView

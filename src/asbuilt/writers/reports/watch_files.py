@@ -9,8 +9,7 @@ from asbuilt.codec import json_text
 from asbuilt.experiment import Recorded, RecordingCheck, Samples, head_of
 from asbuilt.findings import Finding
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.workflow.watching.threshold_files import thresholds_text
-from asbuilt.workflow.watching.watched_log import WatchedLog, duration
+from asbuilt.workflow.watching.watched_log import WatchedLog, duration, thresholds_text
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.figures.recording_figures import recording_figure, watch_figure
 from asbuilt.writers.files import atomic_write

@@ -26,7 +26,7 @@ from asbuilt.dynamics import (
 )
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
-from asbuilt.monitoring.balance import armature_matrix
+from asbuilt.monitoring.observer import armature_matrix
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_dynamics import Mechanism, drive_entries, with_drives
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term
