@@ -102,7 +102,7 @@ def test_no_writable_cache(tmp_path: Path) -> None:
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_workers_die_with_their_parent(how: int) -> None:
     code = (
-        "from asbuilt.excitation.design.process_pool import open_pool; import time\n"
+        "from asbuilt.excitation.design.multistart import open_pool; import time\n"
         "with open_pool(abs, 1) as pool:\n"
         "    while not pool.is_free: time.sleep(0.05)\n"
         "    print('ready', flush=True); time.sleep(600)"

@@ -293,9 +293,7 @@ def test_a_search_that_does_worse_with_more_time_is_told_so(arm, monkeypatch) ->
         def precision(self) -> float:
             return next(found)
 
-    monkeypatch.setattr(
-        "asbuilt.excitation.design.precision.design_fixed", lambda *_, **__: Found()
-    )
+    monkeypatch.setattr("asbuilt.excitation.design.design.design_fixed", lambda *_, **__: Found())
     with pytest.raises(
         MotionError,
         match=r"0\.01 with 10 s and 4 harmonics, .* the search finds nothing better",

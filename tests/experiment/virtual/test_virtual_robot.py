@@ -20,10 +20,9 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
 from asbuilt.experiment.virtual.presets import PRESETS
-from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.experiment.virtual.sensors import DataLogger, SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 CLEAN = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")

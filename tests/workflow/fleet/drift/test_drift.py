@@ -16,7 +16,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.fleet.drift.days import by_day, day_of
+from asbuilt.workflow.fleet.drift.columns import by_day, day_of
 from asbuilt.workflow.fleet.drift.drift import FleetDrift, fleet_drift
 from asbuilt.workflow.fleet.ledger.entry import entry_from
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
