@@ -131,16 +131,15 @@ def _standing(kind: str, own: dict[str, Task], results: dict[tuple[str, str], Ro
                 led += 1
             continue
         who = next(name for name, value in values.items() if value == best)
-        numbers = (
-            f"{ours:.1f} to {best:.1f}"
-            if kind == "halves"
-            else f"{shown(kind, ours)} to {shown(kind, best)}"
+        own_text, other = (
+            f"z {value:.1f}" if kind == "halves" else shown(kind, value) for value in (ours, best)
         )
-        behind.append(f"{task} ({numbers} of {who})")
+        behind.append(f"{task} ({own_text}, {who} {other})")
     if not led and not behind and not level:
         return ""
     sentence = f"asbuilt leads {led} of {led + len(level) + len(behind)}"
-    sentence += f"; by less than a tenth, which is no lead, {', '.join(level)}" if level else ""
+    if level:
+        sentence += f"; its lead on {', '.join(level)} is under a tenth and counts as level"
     return sentence + (f"; it is behind on {', '.join(behind)}." if behind else ".")
 
 
@@ -202,7 +201,7 @@ def _task_section(task: Task, results: dict[tuple[str, str], Row]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for name, row in own.items():
-        if row is not None:
+        if row is not None and "*" not in tools()[name].cannot:
             lines.append(_task_row(task, name, row))
     return "\n".join(lines)
 

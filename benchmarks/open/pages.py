@@ -68,8 +68,10 @@ def robot_page(task: Task, numbers: dict[str, Any], error: float, cad: float | N
         _rests(task, numbers),
         "## As a prior",
         "The numbers are in [the JSON file](" + f"{task.name}.json), without the geometry of the"
-        " description. For another robot of the type:",
+        " description. For another robot of the type, whose own log leaves much open:",
         "```bash\nasbuilt identify ROBOT LOG --siblings " + f"{task.name}.json\n```",
+        "One robot does not say how much the type varies: compare the held-out error with and"
+        " without `--siblings`, and keep the lower.",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 

@@ -243,7 +243,9 @@ def test_projected_torques_hold_no_force_of_the_feet(shared: Path, tmp_path: Pat
         pin.updateFramePlacements(model, data)
         for name, on in zip(facts.contacts, contact[i], strict=True):
             frame = model.getFrameId(name)
-            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+            whole = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            below = np.array([0.0, 0.0, -facts.settings["radius"]])  # of a foot, a ball
+            J = whole[:3] - pin.skew(below) @ whole[3:]
             tau[i] -= on * J.T @ rng.normal(scale=10.0, size=3)
     P = projections(facts, motion.q, contact)
     left = np.einsum("tij,tj->ti", P, tau - flyer.torque(motion, standard))

@@ -48,7 +48,7 @@ def fit(facts: Facts) -> Fit:
         raise RuntimeError(f"the solver stopped: {result.get_solution_result()}")
     values = result.GetSolution(x)
     links = values[:n].reshape(-1, 10)
-    return Fit(lambda motion: regression.torque(motion, values), links=links, note="no errors")
+    return Fit(lambda motion: regression.torque(motion, values), links=links, note="no std errors")
 
 
 def pseudo(link: Any) -> Any:

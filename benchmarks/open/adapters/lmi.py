@@ -59,7 +59,7 @@ def consistent_fit(regression: Regression, cad: Any) -> Fit:
         raise RuntimeError("the solver found no solution")
     values = np.array(x.value)
     links = values[: 10 * len(cad)].reshape(-1, 10)
-    return Fit(lambda motion: regression.torque(motion, values), links=links, note="no errors")
+    return Fit(lambda motion: regression.torque(motion, values), links=links, note="no std errors")
 
 
 def pseudo(link: Any) -> Any:

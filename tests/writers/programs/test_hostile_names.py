@@ -75,7 +75,9 @@ def test_every_format_is_tried(form: str) -> None:
 @pytest.mark.parametrize(
     "form",
     [
-        pytest.param(each, marks=[pytest.mark.study] if each in ("csv", "franka") else [])
+        pytest.param(
+            each, marks=[pytest.mark.study] if each in ("csv", "franka", "fri", "ros2") else []
+        )
         for each in sorted(ROBOTS)
     ],
 )
