@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,9 @@ from asbuilt.identification.information.rows import SampleBlock, sample_blocks
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
+
+AHEAD = 4096
+"""Samples whose columns are evaluated at once."""
 
 At = tuple[str, int | None]
 """Key of an effect and the joint that it acts at (from 0; None: the whole robot)."""
@@ -130,10 +133,11 @@ def gather_equations(
     support = tuple(np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n))
     grams: list[list[Array]] = [[] for _ in range(n)]
     counts: list[int] = []
+    columns = _Columns(robot, variants)
     with one_blas_thread():
         for part in sample_blocks(robot.model, samples, block_seconds):
             block = [np.zeros((len(s) + 1,) * 2) for s in support]
-            for chunk in part.chunks(plan, _evaluated(robot, variants, part)):
+            for chunk in part.chunks(plan, partial(columns, part)):
                 for k, rows in enumerate(chunk):
                     block[k] += rows @ rows.T
             for k in range(n):
@@ -187,20 +191,48 @@ def _places_of(base: BaseParameters, key: str | None, k: int) -> Indices:
     return np.array([j for j, name in enumerate(base.names) if name in names], dtype=np.int64)
 
 
-def _evaluated(
-    robot: Described, variants: Sequence[Variant], part: SampleBlock
-) -> Callable[[slice], list[Array]]:
-    """Return what gives the columns of all variants on a span of the block's samples."""
-    samples = part.samples
-    length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
+class _Columns:
+    """Evaluate the columns of variants on spans of samples, one after another.
 
-    def evaluate(span: slice) -> list[Array]:
-        elapsed = (samples.t[span] - samples.t[0]) / length - 0.5
-        state = samples.q[span], samples.qd[span], samples.qdd[span]
-        motion = Motion(robot, samples.rate, *state, elapsed)
-        return [c for each in variants for c in each.effect.columns(each, motion)]
+    Columns of single instants are evaluated for `AHEAD` samples at once, as blocks are short.
+    """
 
-    return evaluate
+    def __init__(self, robot: Described, variants: Sequence[Variant]) -> None:
+        self._robot, self._variants = robot, variants
+        self._samples: Samples | None = None
+        self._start = self._stop = 0
+
+    def __call__(self, part: SampleBlock, span: slice) -> list[Array]:
+        """Return the columns of all variants, (L, n) each, on a span of the block's samples."""
+        ahead = self._samples is part.samples and self._start <= span.start
+        if not ahead or span.stop > self._stop:
+            self._evaluate(part, span)
+        own = slice(span.start - self._start, span.stop - self._start)
+        motion = self._motion.within(own)
+        return [
+            column
+            for variant, columns in zip(self._variants, self._columns, strict=True)
+            for column in (
+                variant.effect.columns(variant, motion)
+                if columns is None
+                else (each[own] for each in columns)
+            )
+        ]
+
+    def _evaluate(self, part: SampleBlock, span: slice) -> None:
+        """Evaluate what depends on single instants, from the start of a span on."""
+        samples = self._samples = part.samples
+        self._start = span.start
+        self._stop = max(span.stop, min(span.start + AHEAD, part.stop))
+        held = slice(self._start, self._stop)
+        length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
+        elapsed = (samples.t[held] - samples.t[0]) / length - 0.5
+        state = samples.q[held], samples.qd[held], samples.qdd[held]
+        self._motion = Motion(self._robot, samples.rate, *state, elapsed)
+        self._columns = [
+            None if each.effect.by_span else each.effect.columns(each, self._motion)
+            for each in self._variants
+        ]
 
 
 def _without_idle(
