@@ -89,7 +89,6 @@ def identify(
             model, reading, log, validate, payload
         )
         from asbuilt.writers.reports.study_files import study_document, study_text, write_study
-        from asbuilt.writers.timelines.timeline import timelines_of_validations
 
         study = asbuilt.identify(
             model,
@@ -109,13 +108,11 @@ def identify(
             if out is not None
             else ({}, {})
         )
-        files |= timelines.write(
-            lambda: timelines_of_validations(
-                study.result.model,
-                study.validations or study.training,
-                [*recordings, *others],
-                study.findings,
-            )
+        files |= timelines.write_validations(
+            study.result.model,
+            study.validations or study.training,
+            [*recordings, *others],
+            study.findings,
         )
     answer(
         as_json,
@@ -221,7 +218,6 @@ def validate(
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import validate_document
-    from asbuilt.writers.timelines.timeline import timelines_of_validations
 
     validations = asbuilt.validate(identified, logged, options=options)
     with shared_work(workers, scheduler) as shared:
@@ -230,9 +226,7 @@ def validate(
         )
     files = write_validations(out, identified, validations) if out is not None else {}
     files |= write_rollouts(identified.model, simulated, out, animation)
-    files |= timelines.write(
-        lambda: timelines_of_validations(identified.model, validations, logged)
-    )
+    files |= timelines.write_validations(identified.model, validations, logged)
     comparison = asbuilt.compare(identified, validation=validations)
     verdicts = [cad_verdict(validation) for validation in validations]
     found = validation_verdict(identified, logged, validations, simulated)

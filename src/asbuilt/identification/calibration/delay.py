@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -251,7 +251,7 @@ def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
         return 1.0, 0.0
     off = delays - (weight * delays).sum(axis=1, keepdims=True) / total
     chi_square = float(np.sum(weight * off**2))
-    chance = float(f_distribution.sf(chi_square / freedom, freedom, max(n_blocks - 1, 1)))
+    chance = float(fdtrc(freedom, max(n_blocks - 1, 1), chi_square / freedom))
     return chance, float(np.max(np.abs(off) - RULES.significant * errors))
 
 

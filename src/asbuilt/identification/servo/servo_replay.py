@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal as signals
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
@@ -24,6 +23,7 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.expected_scores import ExpectedScores
@@ -242,11 +242,9 @@ def position_noise(recording: Recording) -> Array:
     runs = [rows for rows in _runs(recording) if rows.size >= RULES.window]
     if not runs:
         return np.zeros(recording.q.shape[1])
-    parts = []
+    frequency, parts = np.fft.rfftfreq(RULES.window, 0.5), []
     for rows in runs:
-        frequency, density = signals.welch(
-            recording.q[rows], 2.0, window="hann", nperseg=RULES.window, detrend="constant", axis=0
-        )
+        density = power_density(recording.q[rows], 2.0, RULES.window)
         parts.append(np.mean(density[frequency > RULES.above], axis=0))
     weights = [rows.size for rows in runs]
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,10 +23,12 @@ from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation, torque_units
 from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
-from asbuilt.workflow.information_efficiency import RecordedInformation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.tables.mass_tables import exported_masses
+
+if TYPE_CHECKING:
+    from asbuilt.workflow.information_efficiency import RecordedInformation
 
 MOST_FINDINGS = 12
 """Findings in a document of `identify`, the weightiest; summary.txt and result.json have all."""
