@@ -144,3 +144,12 @@ def test_a_finding_names_the_locked_joints() -> None:
     assert "joint_2 at 0.5" in finding.message
     assert finding.cure is not None
     assert finding.cure.settings == {"lock": "joint_2=VALUE"}
+
+
+def test_a_tilt_that_was_found_is_kept() -> None:
+    model = bundled_robot("ur10e")
+    tilted = model.tilted(np.array([0.1, 0.0, -9.8]))
+    again = model_from_document(json.loads(json.dumps(model_document(tilted))))
+    np.testing.assert_array_equal(again.gravity, [0.1, 0.0, -9.8])
+    np.testing.assert_array_equal(again.as_described.gravity, model.gravity)
+    assert "described_gravity" not in model_document(again.as_described)

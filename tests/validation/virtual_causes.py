@@ -15,6 +15,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.bodies import perturbed_links
 from asbuilt.experiment.virtual.sensors import SensorNoise
@@ -61,6 +62,11 @@ def recorded(
     return recording.scaled([GAINS.get(k, 1.0) for k in range(n)]) if "g" in causes else recording
 
 
+def divided(recording: Recording) -> tuple[Samples, Samples]:
+    """Return the samples used, and those that are held out."""
+    return hold_out(prepare_samples(recording, SignalChain()), "blocks:2s:3")
+
+
 @cache
 def identified(
     robot: str,
@@ -73,10 +79,7 @@ def identified(
     """Identify it with the usual drive terms; every third 2 s block is held out and judges."""
     model = load_robot(robot)
     base = find_base_parameters(model, DriveSet.parse(drive))
-    train, held = hold_out(
-        prepare_samples(recorded(robot, causes, seed=seed, friction=friction), SignalChain()),
-        "blocks:2s:3",
-    )
+    train, held = divided(recorded(robot, causes, seed=seed, friction=friction))
     effects = find_effects(model, base.drive, [train], applied=("tilt",))
     base = find_base_parameters(effects.model, effects.drive)
     result = identify_samples(effects.model, train, base=base)

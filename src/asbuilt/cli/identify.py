@@ -271,12 +271,15 @@ def _validate_described(
             " the table, and a page of its rollouts (--rollout)"
         )
     model, (logged,) = robot_and_recordings(described_robot(robot, **reading.of_base), reading, log)
+    from asbuilt.workflow.servo import has_open_servo
     from asbuilt.writers.files import path_texts
     from asbuilt.writers.reports.rollout_page import write_rollouts
     from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
     from asbuilt.writers.tables.tabular import described_document, described_torque_table
 
-    errors = asbuilt.validate_robot(model, logged, options=options)
+    # Where a log has neither torque nor gains, simulated motion is all there is to compare.
+    with_torque = [each for each in logged if not (options.rollout and has_open_servo(each))]
+    errors = asbuilt.validate_robot(model, with_torque, options=options) if with_torque else ()
     simulated = asbuilt.roll_out_robot(
         model, logged, options.rollout, options=options, workers=workers
     )
@@ -288,7 +291,7 @@ def _validate_described(
             | ({"files": path_texts(files)} if files else {})
         ),
         lambda: (
-            described_torque_table(model, errors).as_text(full)
+            (described_torque_table(model, errors).as_text(full) if errors else "")
             + rollout_text(model, simulated, full=full, cure_text=cure_text)
             + (listed_files(files) if files else "")
         ),

@@ -86,7 +86,8 @@ class RobotModel:
     the coordinates of the robot: columns of a log, drives. A joint that several of them move, or
     one by a factor, says so in its `mimic`.
 
-    `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value
+    `gravity` is the acceleration of free fall in the root frame [m/s^2], `described_gravity` the
+    one of the description where a tilt of the base was found since. `lengths` gives the value
     of each symbol that the joints use. `drives_by_design` is False where the joints' drive values
     are settings for a simulator (URDF, MJCF) rather than facts of the design. `motor_coupling` T
     (n, n) says how the motors turn with the joints, `motor velocity = T qd` in units of the joints
@@ -121,6 +122,7 @@ class RobotModel:
     mass_ranges: tuple[MassRange, ...] = ()
     usual_drive: str = ""
     contacts: tuple[Contact, ...] = ()
+    described_gravity: Array | None = None
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
@@ -658,6 +660,17 @@ class RobotModel:
     def with_gravity(self, gravity: ArrayLike) -> RobotModel:
         """Return the same robot with another gravity [m/s^2] in the root frame."""
         return replace(self, gravity=np.asarray(gravity, dtype=np.float64))
+
+    def tilted(self, gravity: Array) -> RobotModel:
+        """Return the same robot on a base whose tilt makes gravity point so [m/s^2]."""
+        return replace(self, gravity=gravity, described_gravity=self.as_described.gravity)
+
+    @property
+    def as_described(self) -> RobotModel:
+        """The robot without the tilt of the base that was found."""
+        if self.described_gravity is None:
+            return self
+        return replace(self, gravity=self.described_gravity, described_gravity=None)
 
     def with_limits(self, limits: Sequence[JointLimits]) -> RobotModel:
         """Return the same robot with other joint limits, one per joint.

@@ -12,7 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.metrics import TorqueMetrics
@@ -136,11 +136,11 @@ def predict_both(
 ) -> Validation:
     """Predict a recording from base parameters (p,) as built and by design (NaN: zero).
 
-    `cad` is the description of the design, None: `model`.
+    `cad` is the description of the design, None: `model`, without a tilt that was found.
     """
     as_built = predict_torque(model, base, estimates, samples)
-    by_design = predict_torque(model, base, np.nan_to_num(design, nan=0.0), samples)
-    described = model if cad is None else cad
+    described = model.as_described if cad is None else cad
+    by_design = _by_design(model, base, np.nan_to_num(design, nan=0.0), samples, described)
     if not described.drives_by_design:
         # Damping and friction of a URDF or MJCF may be a simulator's; where they help they count.
         candidates = (by_design, _described(described, samples))
@@ -158,6 +158,19 @@ def predict_both(
         metrics_as_built=as_built.metrics(),
         metrics_cad=by_design.metrics(),
     )
+
+
+def _by_design(
+    model: RobotModel, base: BaseParameters, design: Array, samples: Samples, described: RobotModel
+) -> Prediction:
+    """Predict by base parameters under the gravity of a description."""
+    turned = described.gravity - model.gravity
+    if not turned.any():
+        return predict_torque(model, base, design, samples)
+    torque, turning = np.zeros(samples.q.shape), described.with_gravity(turned)
+    for span, _, part in torque_in_spans(model, base, design, samples):
+        torque[span] = part + gravity_torque(turning, samples.q[span])
+    return beside_measured(model, samples, torque)
 
 
 def validate_description(model: RobotModel, samples: Samples) -> TorqueMetrics:

@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.defaults import usual_drive
-from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo
+from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, described_servo
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
@@ -150,6 +150,31 @@ def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
     if isinstance(item, RecordingStream):
         return replace(item, servo=servo)
     return driven_by_command(item, servo) if item.command is not None else item
+
+
+def has_open_servo(item: Recorded) -> bool:
+    """Return whether a recording has commands of a servo whose gains it does not state."""
+    stated = None if isinstance(item, Samples) else head_of(item).servo
+    return stated is not None and not stated.known
+
+
+def with_described_servo(model: RobotModel, item: Recorded) -> Recorded:
+    """Return a recording whose servo has the gains of the description where it states none.
+
+    Raises `UsageError` if neither states them, for a robot as described then has no torque.
+    """
+    if isinstance(item, Samples) or not has_open_servo(item):
+        return item
+    stated, described = head_of(item).servo, described_servo(model)
+    servo = stated.completed(described) if stated and described else stated
+    if servo is None or not servo.known:
+        raise UsageError(
+            f"{head_of(item).source}: the stiffness or damping of a servo is stated neither for"
+            f" the recording nor by {model.name}, and without both a robot as described has no"
+            " torque",
+            cure=Cure("state both, or identify them", {"kp": "LIST", "kd": "LIST"}),
+        )
+    return with_servo(item, servo)
 
 
 def explained(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
@@ -15,7 +16,7 @@ from asbuilt.experiment.logs.recordings import (
     fitted_recordings,
 )
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Finding
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import Validation, validate_description, validate_samples
@@ -24,7 +25,7 @@ from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import digest, prepare
-from asbuilt.workflow.servo import with_servo
+from asbuilt.workflow.servo import has_open_servo, with_servo
 from asbuilt.workflow.study import Study
 
 
@@ -110,10 +111,21 @@ def validate_robot(
     -------
     tuple of TorqueMetrics
         The errors on each recording, in the order given.
+
+    Raises
+    ------
+    UsageError
+        If a recording has commands and no gains, whose torque is unknown.
     """
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = fitted_recordings(model, (recordings,))
+    for name in (each.source for each in logged if has_open_servo(each)):
+        raise UsageError(
+            f"{name} holds commands and no gains of the servo, so that it has"
+            " no torque to compare with",
+            cure=Cure("compare simulated motion", {"rollout": "0.5"}),
+        )
     return tuple(
         validate_description(
             model,

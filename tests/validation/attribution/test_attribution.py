@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from virtual_causes import TOOL, identified
+from virtual_causes import TOOL, divided, identified, recorded
 
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.attribution.attribute import attribute
@@ -26,19 +27,22 @@ ARM = "kuka-iiwa7-r800"
     [
         ("p", {"payload"}, set()),
         ("f", {"friction"}, set()),
-        ("t", set(), {"tilt"}),
+        ("t", {"tilt"}, {"tilt"}),
         ("g", set(), {"gain"}),
         ("l", {"links"}, set()),
         ("pf", {"payload", "friction"}, set()),
-        ("ft", {"friction"}, {"tilt"}),
+        ("ft", {"friction", "tilt"}, {"tilt"}),
         ("fg", {"friction"}, {"gain"}),
-        ("pt", {"payload"}, {"tilt"}),
+        ("pt", {"payload", "tilt"}, {"tilt"}),
     ],
 )
 def test_the_true_causes_are_named_and_no_others(
     causes: str, named: set[str], found: set[str]
 ) -> None:
-    """Tilts and gains are found by `find_effects`; the model has a tilt, and no gain."""
+    """Tilts and gains are found by `find_effects`; the model has a tilt, and no gain.
+
+    CAD is the description without the tilt, whose share of its error is that of the tilt.
+    """
     given = attribute(identified(ARM, causes))
     assert set(given.chosen) == named
     assert {each.effect for each in given.effects} == found
@@ -77,6 +81,20 @@ def test_the_sign_of_a_tilt_is_that_of_the_world() -> None:
     gravity = np.array(result.model.gravity)
     np.testing.assert_allclose(np.rad2deg(gravity[:2] / 9.81), [-0.5, -1.0], atol=0.02)
     assert "(+1.01 about x, -0.50 about y)" in result.effects[0].text
+
+
+def test_the_error_of_cad_is_that_of_the_description_as_given() -> None:
+    """Without the tilt, by inverse dynamics; what the tilt explains is its share."""
+    found = attribute(identified(ARM, "t"))
+    _, held = divided(recorded(ARM, "t"))
+    by_cad = inverse_dynamics(load_robot(ARM), held.q, held.qd, held.qdd)
+    error = held.filtered(held.tau - by_cad)
+    rms = np.sqrt(np.mean(error**2, axis=0))
+    np.testing.assert_allclose(found.rms_cad, rms, rtol=1e-6)
+    (tilt,) = [each for each in found.shares if each.effect == "tilt"]
+    loaded = rms > 10.0 * found.rms_chosen
+    assert loaded.any()
+    np.testing.assert_allclose(tilt.share[loaded], 1.0, atol=0.05)
 
 
 def test_a_payload_hidden_in_wrong_links_is_not_claimed() -> None:

@@ -11,7 +11,15 @@ import pytest
 from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 from typer.testing import CliRunner
 
-from asbuilt import StudyOptions, identify, roll_out_result, simulate_recording
+from asbuilt import (
+    StudyOptions,
+    identify,
+    roll_out_result,
+    roll_out_robot,
+    simulate_recording,
+    validate_robot,
+)
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.executor import Workers, open_workers
@@ -96,3 +104,32 @@ def test_command_line_prints_rollouts_of_a_robot_as_described(tmp_path: Path) ->
     assert only["as_built"] is None
     assert len(only["cad"]["rms"]) == 2
     assert np.isfinite(only["cad"]["rms_all"])
+
+
+def test_a_described_robot_follows_commands_by_its_own_actuators() -> None:
+    """MuJoCo moves the arm by the gains of the description; the log states none."""
+    gains = zip(servo_arm().joints, SERVO.kp, SERVO.kd, SERVO.torque_limit, strict=True)
+    model = replace(
+        servo_arm(),
+        joints=tuple(
+            replace(
+                joint,
+                drive=replace(joint.drive, kp=kp, kd=kd),
+                limits=replace(joint.limits, torque=limit),
+            )
+            for joint, kp, kd, limit in gains
+        ),
+    )
+    at_once, unknown = replace(SERVO, delay=0.0), (np.nan, np.nan)
+    log = recorded_by_mujoco(model, at_once, duration=4.0)
+    (stated,) = roll_out_robot(model, log, (0.5,))
+    log = replace(log, servo=PositionServo(kp=unknown, kd=unknown))
+    (found,) = roll_out_robot(model, log, (0.5,))
+    assert found.cad is not None
+    assert stated.cad is not None
+    assert found.cad.rms_all == stated.cad.rms_all
+    assert found.cad.rms_all < 0.01 * np.std(log.q - log.command)
+    with pytest.raises(UsageError, match="no torque to compare with"):
+        validate_robot(model, log)
+    with pytest.raises(UsageError, match="stated neither for the recording nor by two-link"):
+        roll_out_robot(servo_arm(), log, (0.5,))

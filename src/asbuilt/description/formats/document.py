@@ -34,12 +34,14 @@ def model_document(model: RobotModel) -> dict[str, Any]:
 
     `model_from_document(model_document(model))` equals `model`; infinite limits are None.
     """
+    before = _list(model.described_gravity)
     return {
         "name": model.name,
         "source": model.source,
         "citation": model.citation,
         "notes": list(model.notes),
         "gravity": model.gravity.tolist(),
+        **({} if before is None else {"described_gravity": before}),
         "root_link": model.root_link,
         "lengths": dict(model.lengths),
         "drives_by_design": model.drives_by_design,
@@ -52,7 +54,7 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         ],
         "usual_drive": model.usual_drive,
         "contacts": [str(contact) for contact in model.contacts],
-        "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
+        "motor_coupling": _list(model.motor_coupling),
         "joints": [_joint_document(joint) for joint in model.joints],
         "followers": [_joint_document(joint) for joint in model.followers],
         "loops": [_loop_document(loop) for loop in model.loops],
@@ -88,11 +90,8 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             ),
             lengths={str(symbol): float(value) for symbol, value in document["lengths"].items()},
             drives_by_design=bool(document["drives_by_design"]),
-            motor_coupling=(
-                None
-                if document.get("motor_coupling") is None
-                else _array(document["motor_coupling"])
-            ),
+            described_gravity=_array_or_none(document.get("described_gravity")),
+            motor_coupling=_array_or_none(document.get("motor_coupling")),
             locked_joints={
                 str(name): float(value) for name, value in document.get("locked_joints", {}).items()
             },
@@ -225,3 +224,11 @@ def _symbols(document: Any) -> Symbols | None:
 
 def _array(values: Any) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)
+
+
+def _array_or_none(values: Any) -> NDArray[np.float64] | None:
+    return None if values is None else _array(values)
+
+
+def _list(values: NDArray[np.float64] | None) -> list[Any] | None:
+    return None if values is None else values.tolist()

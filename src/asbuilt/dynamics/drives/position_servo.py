@@ -146,6 +146,15 @@ class PositionServo:
         """Deadbands (n,), zero where unknown."""
         return np.asarray(np.nan_to_num(self.deadband), dtype=np.float64)
 
+    def completed(self, other: Self) -> Self:
+        """Return the servo with gains and torque limits of another one where its own are open."""
+        mine, theirs = (
+            np.array([each.kp, each.kd, each.torque_limit], dtype=np.float64)
+            for each in (self, other)
+        )
+        kp, kd, limit = np.where(np.isfinite(mine), mine, theirs).tolist()
+        return replace(self, kp=tuple(kp), kd=tuple(kd), torque_limit=tuple(limit))
+
     def reordered(self, order: Sequence[int]) -> Self:
         """Return the servo of the joints at these positions."""
         own: dict[str, Any] = {

@@ -13,9 +13,10 @@ from asbuilt.codec import stored
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.information.rows import JointFactors, sample_blocks
+from asbuilt.identification.information.rows import JointFactors, SampleBlock, sample_blocks
 from asbuilt.identification.information.triangular import (
     packed_triangle,
     unpacked_triangle,
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
+TILT = "tilt"
+"""Column of the torque that a tilt which was found adds to the weight of the links by design."""
 HELD_BACK = 3
 """Without held-out recordings every so many blocks of the data used are held out."""
 TRIANGLES = stored(
@@ -39,9 +42,9 @@ TRIANGLES = stored(
 class CauseData:
     """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of fitted and held-out data.
 
-    The named columns A are those of the base parameters of a result. Joint k has the columns
-    `support[k]`; `fitted[k]` and `judged[k]` (held out) have shape (p_k + 1, p_k + 1). A change x
-    of the parameters changes the torque by `A x`.
+    The named columns A are those of the base parameters of a result, and `TILT` where a tilt was
+    found. Joint k has the columns `support[k]`; `fitted[k]` and `judged[k]` (held out) have shape
+    (p_k + 1, p_k + 1). A change x of the parameters changes the torque by `A x`.
     """
 
     joint_names: tuple[str, ...] = field(metadata=stored(key="joints"))
@@ -120,16 +123,23 @@ def gather_cause_data(
     IdentifiabilityError
         If no samples are left to fit, or none to hold out.
     """
-    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
+    tilts = () if model.described_gravity is None else (TILT,)
+    turning = model.with_gravity(model.gravity - model.as_described.gravity)
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=len(tilts) + 1)
     two = JointFactors(plan), JointFactors(plan)
     sources: dict[str, None] = {}
+
+    def add(place: int, part: SampleBlock) -> None:
+        q = part.samples.q
+        two[place].add(part, lambda span: [gravity_torque(turning, q[span]) for _ in tilts])
+
     with one_blas_thread():
         for part in sample_blocks(model, judged, block_seconds):
             sources[part.samples.source] = None
-            two[1].add(part)
+            add(1, part)
         for number, part in enumerate(sample_blocks(model, fitted, block_seconds)):
             held_back = not sources and number % HELD_BACK == HELD_BACK - 1
-            two[1 if held_back else 0].add(part)
+            add(1 if held_back else 0, part)
         factors = [reduction.factors() for reduction in two]
     if not two[0].n_samples or not two[1].n_samples:
         raise IdentifiabilityError(
@@ -138,8 +148,8 @@ def gather_cause_data(
         )
     return CauseData(
         joint_names=model.joint_names,
-        names=base.names,
-        support=plan.support,
+        names=(*base.names, *tilts),
+        support=tuple(np.append(own, base.n_base + np.arange(len(tilts))) for own in plan.support),
         fitted=factors[0],
         judged=factors[1],
         n_fitted=two[0].n_samples,

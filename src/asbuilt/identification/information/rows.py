@@ -175,7 +175,7 @@ def sample_blocks(
 
 
 class JointFactors:
-    """Reduce rows to one factor of each joint for all time blocks."""
+    """Reduce rows, and columns beside them, to one factor of each joint for all time blocks."""
 
     def __init__(self, plan: RegressorPlan) -> None:
         self._plan = plan
@@ -184,10 +184,12 @@ class JointFactors:
         ]
         self.n_samples = 0
 
-    def add(self, part: SampleBlock) -> None:
-        """Add the rows of a time block."""
+    def add(
+        self, part: SampleBlock, beside: Callable[[slice], Sequence[Array]] | None = None
+    ) -> None:
+        """Add the rows of a time block, with `beside` as in `SampleBlock.chunks`."""
         self.n_samples += part.n_outputs
-        for chunk in part.chunks(self._plan):
+        for chunk in part.chunks(self._plan, beside):
             for growing, rows in zip(self._growing, chunk, strict=True):
                 growing.append(rows)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -16,8 +17,8 @@ from asbuilt.identification.effects.bodies import BodyDifference, explain_bodies
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.payload import Payload
 from asbuilt.identification.effects.found_effect import FoundEffect, found_text
-from asbuilt.identification.effects.groups import LINKS, drive_places, group_of
-from asbuilt.identification.information.cause_data import CauseData
+from asbuilt.identification.effects.groups import LINKS, drive_places, group_of, group_title
+from asbuilt.identification.information.cause_data import TILT, CauseData
 from asbuilt.tables import plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
@@ -34,8 +35,8 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
 
     With y_i the torque of what effect i adds to CAD, `e = tau - tau_CAD` and `r = e - sum y`, the
     share of effect i in the drop |e|^2 - |r|^2 is its Shapley value `y_i . (e + r)` (Shapley,
-    1953). Sizes and errors are those of the result; what bodies have beyond CAD is divided by
-    `explain_bodies`.
+    1953). CAD is the description as given, without a tilt that was found. Sizes and errors are
+    those of the result; what bodies have beyond CAD is divided by `explain_bodies`.
 
     Parameters
     ----------
@@ -66,15 +67,14 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     values = np.nan_to_num(by_design)
     changes = _changes(result, values, bodies)
     e, y, torque = _torques(result, data, values, changes)
-    left = e - y.sum(axis=0)
+    left = e - sum(y.values(), np.zeros_like(e))
     energy = np.sum(e**2, axis=1)
     energy = np.where(energy > 0.0, energy, np.inf)
-    parts = dict(zip(changes, np.sum(y * (e + left), axis=2) / energy, strict=True))
+    parts = {key: np.sum(own * (e + left), axis=1) / energy for key, own in y.items()}
     sure = _sure(result, values, changes, bodies)
     payload = None
     if bodies.has_payload:
-        own = y[list(parts).index(Payload.key)]
-        payload = _payload(bodies, own, left, torque, data.n_judged)
+        payload = _payload(bodies, y[Payload.key], left, torque, data.n_judged)
     shares = [
         EffectShare(
             key,
@@ -101,20 +101,22 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
 
 def _torques(
     result: IdentificationResult, data: CauseData, values: Array, changes: Mapping[str, Array]
-) -> tuple[Array, Array, Array]:
-    """Return the error of CAD (n, R), what m effects add to CAD (m, n, R), and the torque (n, R).
+) -> tuple[Array, dict[str, Array], Array]:
+    """Return the error of CAD (n, R), what each effect adds to CAD (n, R), and the torque (n, R).
 
     They are rotated by the factors of held-out data, which leaves sums of squares as they are.
     """
-    places = data.places(result.base.names)
+    tilts = [TILT] * (TILT in data.names)
+    places = data.places([*result.base.names, *tilts])
+    terms = block_diag(np.column_stack([values, *changes.values()]), np.eye(len(tilts)))
+    terms[len(values) :, 0] = -1.0  # columns of links are those under the gravity of the tilt
     rows = data.whole(data.judged)
     size = max(map(len, rows))
-    both = np.zeros((2 + len(changes), len(rows), size))
+    both = np.zeros((1 + terms.shape[1], len(rows), size))
     for k, each in enumerate(rows):
-        own = each[:, places] @ np.column_stack([values, *changes.values()])
-        both[0, k, : len(each)], both[2:, k, : len(each)] = each[:, -1], own[:, 1:].T
-        both[1, k, : len(each)] = each[:, -1] - own[:, 0]
-    return both[1], both[2:], both[0]
+        both[0, k, : len(each)] = each[:, -1]
+        both[1:, k, : len(each)] = (each[:, places] @ terms).T
+    return both[0] - both[1], dict(zip([*changes, *tilts], both[2:], strict=True)), both[0]
 
 
 def _rms(torque: Array, n: int) -> Array:
@@ -164,6 +166,7 @@ def _sure(
     return {
         Payload.key: bodies.has_payload,
         LINKS: bodies.links_differ,
+        TILT: True,
         **dict(zip(p, sure, strict=True)),
     }
 
@@ -198,8 +201,9 @@ def _sizes(
     n = result.model.n_joints
     if key == Payload.key and payload is not None:
         return (f"{plus_minus(payload.estimate, payload.std_error)} {payload.unit}",) * n
-    if key == LINKS:
-        return ("",) * n
+    if key in (LINKS, TILT):
+        texts = [each.text for each in result.effects if each.effect == key and each.in_model]
+        return ("".join(texts).partition(":")[0].removeprefix(group_title(key)).strip(),) * n
     words = {
         symbol: term.title.removesuffix(" friction") if key == "friction" else ""
         for term in result.base.drive.terms

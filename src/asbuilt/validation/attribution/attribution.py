@@ -174,7 +174,7 @@ def findings_of(found: Attribution) -> tuple[str, ...]:
     for each in found.effects:
         if each.in_model and not (each.effect in EFFECTS and EFFECTS[each.effect].removable):
             continue
-        where = "Corrected in this result, so no longer part of the error"
+        where = "Corrected in this result"
         if not each.in_model:
             where = "Not in the model, so that others may hold what it explains"
         lines.append(f"{where}: {each.text}.")

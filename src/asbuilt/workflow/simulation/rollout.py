@@ -34,7 +34,7 @@ from asbuilt.identification.trajectories.windows import cut_windows, driving_sig
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import digest
-from asbuilt.workflow.servo import with_servo
+from asbuilt.workflow.servo import with_described_servo, with_servo
 
 Simulated = tuple[Recording, Samples, DriveSignal]
 """A recording, the part of its motion that is simulated, and what drives it."""
@@ -104,7 +104,7 @@ def roll_out_robot(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (logged,) = fitted_recordings(model, (recordings,))
     chain = options.chain or SignalChain()
-    parts = [_whole(item, chain) for item in logged]
+    parts = [_whole(with_described_servo(model, item), chain) for item in logged]
     described = [_driven(robot_as_described(model, _servo(each[0])), each) for each in parts]
     return tuple(
         roll_out(

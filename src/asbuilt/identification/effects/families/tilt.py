@@ -56,7 +56,7 @@ class Tilt(Effect):
         """Return the robot with its base turned by a tilt about the axes across gravity."""
         gravity = np.array(model.gravity)
         back = Rotation.from_rotvec(-values @ axes_across(gravity))
-        return model.with_gravity(back.apply(gravity)), list(samples)
+        return model.tilted(back.apply(gravity)), list(samples)
 
     def variants(self, robot: Described) -> Iterator[Variant]:
         """Yield the tilt of a robot with gravity."""
