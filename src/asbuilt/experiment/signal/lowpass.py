@@ -125,14 +125,17 @@ def _both_ways(x: Array, sections: Array, padding: int) -> Array:
 def _steady_state(sections: bytes, count: int) -> Array:
     """Return the states (count, 2) of sections that the input 1 has held for long.
 
-    The output y of a section is its gain `sum b / sum a` times its input x, and its states are
-    `p = y - b0 x`, `q = b2 x - a2 y`.
+    The states (p, q) of a section with the input 1 solve `p = q + b1 - a1 (p + b0)`,
+    `q = b2 - a2 (p + b0)`; its input is the gain of the sections before.
     """
     rows = np.frombuffer(sections).reshape(count, 6)
-    gain = rows[:, :3].sum(axis=1) / rows[:, 3:].sum(axis=1)
-    y = np.cumprod(gain)
-    x = y / gain
-    return np.column_stack([y - rows[:, 0] * x, rows[:, 2] * x - rows[:, 5] * y])
+    b, a = rows[:, :3], rows[:, 3:]
+    system = np.tile(np.eye(2), (count, 1, 1))
+    system[:, 0, 1] = -1.0
+    system[:, :, 0] += a[:, 1:]
+    states = np.linalg.solve(system, (b[:, 1:] - a[:, 1:] * b[:, :1])[..., None])[..., 0]
+    gain = np.cumprod(np.append(1.0, b.sum(axis=1) / a.sum(axis=1)))[:-1]
+    return np.asarray(gain[:, None] * states)
 
 
 @kernel("F2 f2 f2")
@@ -187,13 +190,12 @@ def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:
     Discrete-Time Signal Processing, 2010, section 7.3). The first section has the gain of all. As
     `scipy.signal.butter`, whose package takes long to import.
     """
-    turns = np.arange(1 - order % 2, order, 2)  # a real pole, then one of each conjugate pair
-    poles = -4.0 * np.tan(np.pi * cutoff / rate) * np.exp(0.5j * np.pi * turns / order)
-    z = (4.0 + poles) / (4.0 - poles)
+    w = 4.0 * np.tan(np.pi * (cutoff / (0.5 * rate)) / 2.0)
+    s = w * -np.exp(0.5j * np.pi * np.arange(1.0 - order, order, 2.0) / order)
+    z = ((4.0 + s) / (4.0 - s))[order // 2 :]  # a real pole, then one of each conjugate pair
     sections = np.tile([1.0, 2.0, 1.0, 1.0, 0.0, 0.0], (len(z), 1))
-    sections[:, 4], sections[:, 5] = -2.0 * z.real, np.abs(z) ** 2
+    sections[:, 4], sections[:, 5] = -2.0 * z.real, z.real**2 + z.imag**2
     if order % 2:
         sections[0] = 1.0, 1.0, 0.0, 1.0, -z[0].real, 0.0
-    gain = sections[:, 3:].sum(axis=1) / sections[:, :3].sum(axis=1)
-    sections[0, :3] *= np.prod(gain)
+    sections[0, :3] *= w**order * (1.0 / np.prod(4.0 - s)).real
     return sections

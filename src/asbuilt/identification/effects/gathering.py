@@ -130,7 +130,9 @@ def gather_equations(
     slots = [variant for variant in variants for _ in range(variant.n_columns)]
     plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=len(slots) + 1)
     candidates, own, size = _placed(variants, n, base)
-    support = tuple(np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n))
+    support = [np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n)]
+    # a joint has not every slot, but torque
+    there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
     grams: list[list[Array]] = [[] for _ in range(n)]
     counts: list[int] = []
     columns = _Columns(robot, variants)
@@ -140,15 +142,15 @@ def gather_equations(
             for chunk in part.chunks(plan, partial(columns, part)):
                 for k, rows in enumerate(chunk):
                     block[k] += rows @ rows.T
-            for k in range(n):
-                grams[k].append(block[k])
+            for gram, kept, every in zip(grams, there, block, strict=True):
+                gram.append(every[np.ix_(kept, kept)])
             counts.append(part.n_outputs)
-    return _without_idle(
+    return EffectEquations(
         robot,
         base,
-        candidates,
-        [np.concatenate([s, [size]]) for s in support],
-        [np.array(each) for each in grams],
+        tuple(candidates),
+        tuple(s[s >= 0] for s in support),
+        tuple(np.array(each) for each in grams),
         np.array(counts, dtype=np.int64),
         size,
     )
@@ -233,21 +235,3 @@ class _Columns:
             None if each.effect.by_span else each.effect.columns(each, self._motion)
             for each in self._variants
         ]
-
-
-def _without_idle(
-    robot: Described,
-    base: BaseParameters,
-    candidates: Sequence[Candidate],
-    support: Sequence[Indices],
-    grams: Sequence[Array],
-    counts: Indices,
-    size: int,
-) -> EffectEquations:
-    """Return the equations without slots that a joint does not have."""
-    places, own = [], []
-    for s, gram in zip(support, grams, strict=True):
-        there = np.flatnonzero(s >= 0)
-        places.append(s[there][:-1])
-        own.append(np.ascontiguousarray(gram[:, there][:, :, there]))
-    return EffectEquations(robot, base, tuple(candidates), tuple(places), tuple(own), counts, size)
