@@ -111,6 +111,7 @@ STUDIES_OF_WALKS = (
     Walk("g1", ("squat",)),
     Walk("g1", ("flight",)),
     Walk("go2", ("squat", "step")),
+    Walk("go2", ("step",), forces=True),
     Walk("go2", ("step",), method="auto"),
     Walk("go2", ("flight",), method="auto"),
 )

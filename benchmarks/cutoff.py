@@ -22,7 +22,7 @@ import numpy as np
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording

@@ -26,7 +26,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.bodies import perturbed_links
+from asbuilt.experiment.virtual.presets import perturbed_links
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
 from asbuilt.identification.identify import identify_samples

@@ -18,15 +18,18 @@ from asbuilt.dynamics.batches import available_cores
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
 from asbuilt.excitation.design.fixed_duration import sized
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.program import DesignProgram, Objective
 from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information, mean_information
+from asbuilt.excitation.information.information import (
+    Information,
+    mean_information,
+    parameter_scale,
+)
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.excitation.state_bounds import parameter_scale
-from asbuilt.excitation.torque_limit import TorqueLimit
+from asbuilt.excitation.state_constraint import TorqueLimit
 
 ROBOT, DURATION, HARMONICS, FRACTION, TORQUE_FRACTION = "kuka-iiwa7-r800", 20.0, 5, 0.95, 0.8
 RANDOM_MOTIONS = 1000

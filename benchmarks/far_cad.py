@@ -13,7 +13,7 @@ import numpy as np
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain

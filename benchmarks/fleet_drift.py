@@ -33,8 +33,7 @@ from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.workflow.fleet.drift.columns import FleetColumns
-from asbuilt.workflow.fleet.drift.days import Day
+from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns
 from asbuilt.workflow.fleet.drift.drift import FleetDrift, conclude_drift, type_drift
 from asbuilt.workflow.fleet.options import FleetDriftOptions
 

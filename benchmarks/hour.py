@@ -19,7 +19,7 @@ import polars as pl
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.logs.streaming import stream_recording
+from asbuilt.experiment.logs.long_recordings import stream_recording
 from asbuilt.experiment.signal.preparation import stream_samples
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import accumulate_stream

@@ -32,6 +32,9 @@ RATE, SECONDS, SETTLING = 500.0, 20.0, 2.0
 PLACE_NOISE, TURN_NOISE = 1e-4, 1e-4
 """Standard deviations of the pose of the base [m, rad]."""
 COUNTS = 2.0**18
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+FORCE_NOISE = 1e-3
+"""Standard deviation of a measured force in units of its largest range."""
 FELT = 0.02
 """Force over the weight above which a contact's flag is 1."""
 STEEPEST = np.deg2rad(70.0)
@@ -42,17 +45,19 @@ class Walk:
     """A robot, what it does, one log each, and for how long [s].
 
     It squats, sways and turns on its feet (`squat`), trots (`step`), jumps (`hop`), or moves its
-    joints as it falls (`flight`).
+    joints as it falls (`flight`). With `forces` those of the feet are logged in place of flags.
     """
 
     robot: str
     motions: tuple[str, ...]
     seconds: float = SECONDS
     method: str = "wls"
+    forces: bool = False
 
     @property
     def name(self) -> str:
-        return f"legs_{self.robot}_{'_'.join(self.motions)}_{self.seconds:g}s_{self.method}"
+        name = f"legs_{self.robot}_{'_'.join(self.motions)}_{self.seconds:g}s_{self.method}"
+        return f"{name}_forces" if self.forces else name
 
 
 class Stage(NamedTuple):
@@ -76,7 +81,7 @@ def studied(walk: Walk, seed: int) -> tuple[RobotModel, Study]:
     legged, rng = LEGGED[walk.robot], np.random.default_rng(seed)
     cad = described(walk.robot)
     truth = other_bodies(cad, rng)
-    logs = [recorded(legged, truth, kind, walk.seconds, rng) for kind in walk.motions]
+    logs = [recorded(legged, truth, kind, walk.seconds, rng, walk.forces) for kind in walk.motions]
     return truth, identify(cad, logs, torque_source="motor", method=walk.method)
 
 
@@ -97,12 +102,18 @@ def against_truth(truth: RobotModel, study: Study) -> tuple[Array, Array]:
 
 
 def recorded(
-    legged: Legged, model: RobotModel, kind: str, seconds: float, rng: np.random.Generator
+    legged: Legged,
+    model: RobotModel,
+    kind: str,
+    seconds: float,
+    rng: np.random.Generator,
+    forces: bool = False,
 ) -> dict[str, Array]:
     """Return the log of a motion; the robot falls freely if it is `flight`."""
     stage = staged(legged, model)
     goal = goals(stage, kind, seconds + SETTLING, rng)
-    return _columns(legged, model, simulated(legged, stage, goal, kind == "flight", rng), rng)
+    log = simulated(legged, stage, goal, kind == "flight", rng)
+    return _columns(legged, model, log, rng, forces)
 
 
 def staged(legged: Legged, model: RobotModel) -> Stage:
@@ -256,7 +267,10 @@ def _rotation(quaternion: Array, wanted: Array) -> Array:
 def simulated(
     legged: Legged, stage: Stage, goal: CubicSpline, falls: bool, rng: np.random.Generator
 ) -> Array:
-    """Return rows of t, pose (7), joints, torques and felt contacts, from `SETTLING` on."""
+    """Return rows of t, pose (7), joints, torques, felt contacts and wrenches at the feet.
+
+    They begin at `SETTLING`; wrenches (6 a foot) are in axes of the feet, about their points.
+    """
     m, d = stage.m, mujoco.MjData(stage.m)
     d.qpos[:] = _standing(stage)
     if falls:
@@ -274,31 +288,44 @@ def simulated(
             continue
         if abs(d.xmat[1][6]) > np.sin(STEEPEST):
             break
-        felt = np.zeros(len(stage.feet))
+        felt, wrenches = np.zeros(len(stage.feet)), np.zeros((len(stage.feet), 2, 3))
         for number, contact in enumerate(d.contact[: d.ncon]):
             mujoco.mj_contactForce(m, d, number, force)
-            touched = [not each.isdisjoint(contact.geom.tolist()) for *_, each in stage.feet]
-            felt[touched] += force[0]
-        rows.append(np.r_[times[k], q, d.actuator_force, felt > FELT * stage.weight])
+            for foot, (body, point, shapes) in enumerate(stage.feet):
+                if shapes.isdisjoint(contact.geom.tolist()):
+                    continue
+                felt[foot] += force[0]
+                f = contact.frame.reshape(3, 3).T @ force[:3]  # on the foot, the floor is first
+                R = d.xmat[body].reshape(3, 3)
+                arm = contact.pos - d.xpos[body] - R @ point
+                wrenches[foot] += np.stack([f, np.cross(arm, f)]) @ R
+        flags = felt > FELT * stage.weight
+        rows.append(np.r_[times[k], q, d.actuator_force, flags, wrenches.ravel()])
     return np.array(rows)
 
 
 def _columns(
-    legged: Legged, model: RobotModel, log: Array, rng: np.random.Generator
+    legged: Legged, model: RobotModel, log: Array, rng: np.random.Generator, forces: bool
 ) -> dict[str, Array]:
-    """Return the columns of a log, with noise."""
+    """Return the columns of a log, with noise; forces at feet in place of flags."""
     names, n = model.joint_names[6:], model.n_joints - 6
     sensors = Sensors(np.full(n, legged.noise), counts=COUNTS, turns=(True,) * n)
-    t, place, turn, q, tau, felt = np.split(log, np.cumsum([1, 3, 4, n, n]), axis=1)
+    feet = len(legged.feet)
+    t, place, turn, q, tau, felt, f = np.split(log, np.cumsum([1, 3, 4, n, n, feet]), axis=1)
     place = place + rng.normal(0.0, PLACE_NOISE, place.shape)
     turn = turn + rng.normal(0.0, 0.5 * TURN_NOISE, turn.shape)
     turn /= np.linalg.norm(turn, axis=1)[:, None]
     q, tau = sensors.positions(q), tau + sensors.errors(rng, len(t), RATE)
+    touch = {f"contact_{foot}": felt[:, k] for k, foot in enumerate(legged.feet)}
+    if forces:
+        columns = [f"contact_{foot}_{axis}" for foot in legged.feet for axis in WRENCH]
+        scale = np.ptp(f, axis=0).max() * FORCE_NOISE
+        touch = dict(zip(columns, (f + rng.normal(0.0, scale, f.shape)).T, strict=True))
     return (
         {"t": t[:, 0]}
         | {f"base_{axis}": place[:, k] for k, axis in enumerate("xyz")}
         | {f"base_q{axis}": turn[:, k] for k, axis in enumerate("wxyz")}
         | {f"q_{name}": q[:, k] for k, name in enumerate(names)}
         | {f"tau_{name}": tau[:, k] for k, name in enumerate(names)}
-        | {f"contact_{foot}": felt[:, k] for k, foot in enumerate(legged.feet)}
+        | touch
     )

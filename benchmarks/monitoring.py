@@ -24,14 +24,12 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.contact import frame_jacobian
+from asbuilt.monitoring.causal_filter import largest_velocity_error
+from asbuilt.monitoring.contact import frame_jacobian, smallest_forces
 from asbuilt.monitoring.events import find_events
-from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.sensitivity import smallest_forces
 from asbuilt.monitoring.thresholds import Thresholds, bounded, set_thresholds
-from asbuilt.monitoring.velocity_error import largest_velocity_error
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 from asbuilt.workflow.watching.watched_log import ELSEWHERE

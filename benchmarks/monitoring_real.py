@@ -27,11 +27,9 @@ from asbuilt.dynamics.momentum import lagged
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.calibration.payload import payload_frame
-from asbuilt.monitoring.contact import frame_jacobian
-from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.contact import WITHIN, frame_jacobian
+from asbuilt.monitoring.observed import ModelError, Observed
 from asbuilt.monitoring.observer import BANDWIDTH, Observer
-from asbuilt.monitoring.sensitivity import WITHIN
 from asbuilt.monitoring.thresholds import HALF, Thresholds, set_thresholds, velocities_before
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify

@@ -19,8 +19,8 @@ import numpy as np
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
@@ -128,9 +128,10 @@ def errors(case: Case, model: RobotModel, drive: DriveSet) -> tuple[list[float],
         100 * validate_samples(result, each).metrics_as_built.relative_error for each in case.others
     ]
     masses = exported_masses(result)
-    if masses is None or not all(masses.cad):
+    _, cad, built = ((), (), ()) if masses is None else zip(*masses.links, strict=True)
+    if masses is None or not all(cad):
         return found, ""
-    ratios = np.array(masses.as_built) / np.array(masses.cad, dtype=np.float64)
+    ratios = np.array(built) / np.array(cad, dtype=np.float64)
     return found, " ".join(f"{each:.2f}" for each in ratios)
 
 

@@ -25,7 +25,7 @@ from scipy.special import stdtr
 
 from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
@@ -250,7 +250,8 @@ def mass_text(result: IdentificationResult) -> str:
     masses = exported_masses(result)
     if masses is None or masses.total_cad is None:
         return "none"
-    ratios = np.array(masses.as_built) / np.array(masses.cad, dtype=np.float64)
+    _, cad, built = zip(*masses.links, strict=True)
+    ratios = np.array(built) / np.array(cad, dtype=np.float64)
     worst = float(np.max(np.maximum(ratios, 1.0 / ratios))) if ratios.min() > 0.0 else np.inf
     return f"{masses.total_as_built / masses.total_cad:.2f} ({worst:.1f})"
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.data_logger import DataLogger
-from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, DataLogger
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.validation.recovery import Recovery, compare_with_truth
 from asbuilt.workflow.study import StudyOptions, identify

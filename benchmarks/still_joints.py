@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain

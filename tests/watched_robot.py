@@ -16,9 +16,9 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.monitoring.causal_filter import largest_velocity_error
 from asbuilt.monitoring.observer import Observer
 from asbuilt.monitoring.thresholds import Thresholds, set_thresholds
-from asbuilt.monitoring.velocity_error import largest_velocity_error
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 

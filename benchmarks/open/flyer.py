@@ -41,17 +41,23 @@ def projections(facts: Facts, q: Array, contact: Array) -> Array:
     model = flyer_model(facts)
     data, found = model.createData(), np.empty((len(q), model.nv, model.nv))
     frames = [model.getFrameId(name) for name in facts.contacts]
+    radius = facts.settings.get("radius", 0.0)
     for i, (place, closed) in enumerate(zip(q, contact, strict=True)):
         pin.computeJointJacobians(model, data, place)
         pin.updateFramePlacements(model, data)
         rows = [
-            pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+            _at_ground(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED), radius)
             for frame, on in zip(frames, closed, strict=True)
             if on > 0.0
         ]
         J = np.vstack(rows) if rows else np.zeros((1, model.nv))
         found[i] = np.eye(model.nv) - np.linalg.pinv(J) @ J
     return found
+
+
+def _at_ground(J: Array, radius: float) -> Array:
+    """Return the Jacobian (3, n) of the point `radius` [m] below a frame, by `v + w x p`."""
+    return J[:3] + np.cross(J[3:], [0.0, 0.0, -radius], axisa=0).T
 
 
 class Flyer(Regression):

@@ -18,7 +18,7 @@ from prepare import Array, Problem, write_facts
 from task import Task
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 
 POSE = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
 TWIST = ("base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz")

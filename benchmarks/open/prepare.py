@@ -20,7 +20,7 @@ from task import Task
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.writers.models.urdf import urdf_text

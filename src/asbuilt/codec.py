@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import numpy as np
 
 T = TypeVar("T")
+_hints = cache(get_type_hints)
 
 
 class FieldError(ValueError):
@@ -52,7 +53,10 @@ def plain(value: Any) -> Any:
     {'a': [1.0, None], 'b': [True, 'x']}
     """
     if is_dataclass(value) and not isinstance(value, type):
-        return {_key(item): _encoder(item)(getattr(value, item.name)) for item in fields(value)}
+        return {
+            _key(item): (item.metadata.get("encode") or plain)(getattr(value, item.name))
+            for item in fields(value)
+        }
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -106,15 +110,6 @@ def _key(item: Field[Any]) -> str:
     return item.metadata.get("key") or item.name
 
 
-def _encoder(item: Field[Any]) -> Callable[[Any], Any]:
-    return item.metadata.get("encode") or plain
-
-
-@cache
-def _hints(kind: type[Any]) -> dict[str, Any]:
-    return get_type_hints(kind)
-
-
 def _decoded(hint: Any, value: Any, how: Mapping[str, Any]) -> Any:
     if how.get("decode") is not None:
         return how["decode"](value)
@@ -155,7 +150,11 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
 def _array(value: Any, number: Any, missing: float = math.nan) -> Any:
     """Return an array of finite numbers, `missing` where None is stored."""
     found = np.array(value)
-    if found.dtype.kind not in "biufO" or (found.dtype == object and not _is_numeric(found)):
+    numeric = found.dtype != object or all(
+        item is None or (isinstance(item, int | float) and math.isfinite(item))
+        for item in found.flat
+    )
+    if found.dtype.kind not in "biufO" or not numeric:
         raise TypeError("expected an array of numbers")
     if found.dtype.kind == "f" and not np.all(np.isfinite(found)):
         raise ValueError("expected finite numbers")
@@ -163,13 +162,6 @@ def _array(value: Any, number: Any, missing: float = math.nan) -> Any:
     if found.dtype == object:
         array[np.isnan(array)] = missing
     return array
-
-
-def _is_numeric(found: Any) -> bool:
-    return all(
-        item is None or (isinstance(item, int | float) and math.isfinite(item))
-        for item in found.flat
-    )
 
 
 def _finite(value: Any) -> float:

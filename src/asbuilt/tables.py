@@ -13,6 +13,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from itertools import compress
 from operator import attrgetter
 from typing import Any, Literal
 
@@ -300,9 +301,12 @@ class Table:
 
     def filled(self) -> Table:
         """Return the table without the columns that no row fills."""
-        kept = [k for k in range(len(self.columns)) if any(row[k] is not None for row in self.rows)]
-        rows = tuple(tuple(row[k] for k in kept) for row in self.rows)
-        return replace(self, columns=tuple(self.columns[k] for k in kept), rows=rows)
+        kept = [any(cell is not None for cell in cells) for cells in zip(*self.rows, strict=True)]
+        return replace(
+            self,
+            columns=tuple(compress(self.columns, kept)),
+            rows=tuple(tuple(compress(row, kept)) for row in self.rows),
+        )
 
     def __str__(self) -> str:
         return self.as_text()
@@ -336,7 +340,10 @@ class Table:
         legend = [] if full else _number_names(body, columns)
         if not full:
             body = [
-                [_clipped(text, c.width) for text, c in zip(row, columns, strict=True)]
+                [
+                    shortened(text, c.width or len(text))
+                    for text, c in zip(row, columns, strict=True)
+                ]
                 for row in body
             ]
         cells = [_aligned([row[k] for row in body], c.align) for k, c in enumerate(columns)]
@@ -367,11 +374,16 @@ class Table:
         """
         label = f' id="{html.escape(identifier)}"' if identifier else ""
         caption = f"<caption>{html.escape(self.title)}</caption>" if self.title else ""
+        # A long header may break after underscores.
+        heads = [
+            html.escape(each.header).replace("_", "_<wbr>" if len(each.header) > 8 else "_")
+            for each in self.columns
+        ]
         head = "".join(
-            f'<th scope="col"{_html_class(column)}>{_breakable(column.header)}'
+            f'<th scope="col"{_html_class(column)}>{text}'
             + (f' <span class="unit">{html.escape(column.unit)}</span>' if column.unit else "")
             + "</th>"
-            for column in self.columns
+            for column, text in zip(self.columns, heads, strict=True)
         )
         body = "".join(
             "<tr>"
@@ -422,10 +434,6 @@ def _signless(value: float | Decimal, decimals: int) -> str:
 
 def _plain(text: str) -> str:
     return "".join(character if character.isprintable() else " " for character in text)
-
-
-def _clipped(text: str, width: int | None) -> str:
-    return text if width is None else shortened(text, width)
 
 
 def _number_names(body: list[list[str]], columns: Sequence[Column]) -> list[str]:
@@ -491,12 +499,6 @@ def _line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[Column]
         shortened(cell, width).ljust(width) if column.align == "left" else cell.rjust(width)
         for cell, width, column in zip(cells, widths, columns, strict=True)
     )
-
-
-def _breakable(text: str) -> str:
-    """Return the text escaped; a long one may break after underscores."""
-    # Characters up to which a header in HTML stays on one line.
-    return html.escape(text).replace("_", "_<wbr>") if len(text) > 8 else html.escape(text)
 
 
 def _html_class(column: Column) -> str:

@@ -14,14 +14,14 @@ pytest.importorskip("mujoco")
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.presliding import presliding_column
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.drives.elastic_columns import elastic_columns as of_joint
+from asbuilt.identification.effects.families.elastic import elastic_columns as of_joint
+from asbuilt.identification.effects.families.presliding import presliding_column
 from asbuilt.identification.result.torque_prediction import all_parameters
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
+from asbuilt.experiment.logs.recordings import fitted_recordings
 from legged_robots import LEGGED
-from legs import Walk, parameter_errors
+from legs import Walk, described, parameter_errors, recorded
 
 LEAST = 0.93
 """Least share of 95 % intervals with the truth."""
@@ -20,10 +23,28 @@ def test_robots_weigh_what_their_figures_say(robot: str, mass: float) -> None:
     assert sum(link.inertia.mass for link in model.links) == pytest.approx(mass, abs=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("robot", "motion", "radius"), [("solo12", "squat", 0.016), ("go2", "step", 0.022)]
+)
+def test_feet_roll_on_their_balls(robot: str, motion: str, radius: float) -> None:
+    """A light robot that trots slips a little in MuJoCo, so that the Solo12 squats."""
+    cad, rng = described(robot), np.random.default_rng(4)
+    log = recorded(LEGGED[robot], cad, motion, 4.0, rng)
+    unstated = replace(cad, contacts=tuple(replace(each, radius=None) for each in cad.contacts))
+    for contact in fitted_recordings(unstated, [log])[0].contacts:
+        assert contact.radius == pytest.approx(radius, abs=1.5e-3)
+
+
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("robot", "motion"), [("solo12", "step"), ("solo12", "flight"), ("go2", "step")]
+    ("robot", "motion", "forces"),
+    [
+        ("solo12", "step", False),
+        ("solo12", "flight", False),
+        ("go2", "step", False),
+        ("go2", "step", True),
+    ],
 )
-def test_intervals_hold_the_truth(robot: str, motion: str) -> None:
-    ((error, std_error),) = parameter_errors(Walk(robot, (motion,)), 1)
+def test_intervals_hold_the_truth(robot: str, motion: str, forces: bool) -> None:
+    ((error, std_error),) = parameter_errors(Walk(robot, (motion,), forces=forces), 1)
     assert np.mean(np.abs(error) < 1.959964 * std_error) >= LEAST

@@ -13,7 +13,7 @@ from asbuilt.description.formats.mjcf import read_mjcf
 from asbuilt.description.formats.mjcf_text import mjcf_text
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.momentum import generalised_momentum
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix

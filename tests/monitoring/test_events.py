@@ -12,11 +12,11 @@ from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.monitoring.contact import frame_jacobian
+from asbuilt.monitoring.causal_filter import pole_for
+from asbuilt.monitoring.contact import excess_response, frame_jacobian, smallest_forces
 from asbuilt.monitoring.events import joined_events
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.sensitivity import excess_response, smallest_forces
 from asbuilt.workflow.watching.options import WatchOptions
 from asbuilt.workflow.watching.watch import watch
 from asbuilt.workflow.watching.watched_log import WatchedLog
@@ -236,7 +236,7 @@ def test_smallest_force_is_seen_within_20_ms_and_smaller_ones_are_not(
     rng = np.random.default_rng(0)
     places = np.unique(np.linspace(0.1, 0.9, len(forces)) * (len(seen.t) - 1)).astype(int)
     late = round(0.02 * RATE)
-    pole = observer.pole(np.diff(seen.t)) if filtered else None
+    pole = pole_for(np.diff(seen.t), observer.bandwidth) if filtered else None
     mean = 0.02 - 0.5 / RATE
     wanted, made = (excess_response(observer, t, 1 / RATE, pole) for t in (0.02, mean))
     for k, force in list(zip(places, forces, strict=True))[:8]:

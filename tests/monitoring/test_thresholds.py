@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
+from asbuilt.monitoring.causal_filter import largest_velocity_error
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.thresholds import MANY, levels, set_thresholds
-from asbuilt.monitoring.velocity_error import largest_velocity_error
 
 HOUR = 3600
 

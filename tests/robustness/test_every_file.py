@@ -24,15 +24,14 @@ from asbuilt.description.load import load_robot
 from asbuilt.errors import AsbuiltError
 from asbuilt.excitation.collision.capsules import surroundings
 from asbuilt.excitation.motions.motion_csv import read_motion
-from asbuilt.experiment.logs.formats.robot_learning.lerobot import read_lerobot
-from asbuilt.experiment.logs.formats.robot_learning.sage import read_sage
+from asbuilt.experiment.logs.formats.robot_learning import read_lerobot, read_sage
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import read_sheet
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
 from asbuilt.workflow.result_files import read_result
 from asbuilt.workflow.study import identify
-from asbuilt.workflow.watching.threshold_files import read_thresholds, thresholds_text
 from asbuilt.workflow.watching.watch import watch
+from asbuilt.workflow.watching.watched_log import read_thresholds, thresholds_text
 from fleet_logs import MODEL, recording
 from robustness import corpus
 

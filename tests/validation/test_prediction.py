@@ -8,7 +8,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
 from asbuilt.validation.prediction import cad_values, validate_description, validate_samples
-from asbuilt.writers.models.as_built import as_built_model
+from asbuilt.writers.models.as_built import as_built
 
 
 @pytest.mark.parametrize("which", ["example", "filtered_example"])
@@ -86,7 +86,7 @@ def test_the_robot_as_built_predicts_like_the_result_it_comes_from(
     which: str, request: pytest.FixtureRequest
 ) -> None:
     example: Any = request.getfixturevalue(which)
-    found = validate_description(as_built_model(example.result), example.held_out)
+    found = validate_description(as_built(example.result).model, example.held_out)
     expected = validate_samples(example.result, example.held_out).metrics_as_built
     for name in ("rms", "max_abs", "rms_recorded", "relative_error"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)

@@ -11,8 +11,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import ResultError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.data_logger import DataLogger
-from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, DataLogger
 from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording, VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.recovery import compare_with_truth

@@ -17,7 +17,7 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.bodies import perturbed_links
+from asbuilt.experiment.virtual.presets import perturbed_links
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.effects.search import find_effects

@@ -37,6 +37,7 @@ def errors_in_sigmas(name: str, seed: int):
     return (result.estimates - result.base.values(np.array(truth))) / result.std_errors
 
 
+@pytest.mark.study
 def test_a_four_bar_is_identified_with_honest_errors() -> None:
     assert np.abs(errors_in_sigmas("four-bar", 1)).max() < 4.0
 

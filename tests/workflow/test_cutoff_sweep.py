@@ -62,6 +62,7 @@ def test_sweep_is_printed_with_its_reason(sweep: CutoffSweep) -> None:
     json.dumps(sweep.as_document(), allow_nan=False)
 
 
+@pytest.mark.study
 def test_a_statistic_that_is_not_known_is_a_dash(sweep: CutoffSweep) -> None:
     """At a low cutoff the stretches held out may be shorter than half a period."""
     unknown = replace(

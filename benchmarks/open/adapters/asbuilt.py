@@ -33,7 +33,7 @@ from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import robot_as_built
 from asbuilt.identification.trajectories.windows import Windows
-from asbuilt.workflow.calibration.payload_study import identify_moments
+from asbuilt.workflow.calibration import identify_moments
 from asbuilt.workflow.options import PayloadOptions
 from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built

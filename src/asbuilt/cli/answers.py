@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from asbuilt import writers
 from asbuilt.cli.arguments.spread import option_name
 from asbuilt.cli.commands import EVERY_COMMAND
 from asbuilt.findings import Cure
@@ -55,8 +56,12 @@ class Screen:
             for task in self._tasks.values():
                 bar.update(task, total=1.0, completed=1.0)
             self._tasks[stage] = bar.add_task(what, total=None)
-        total = 1.0 if fraction > 0.0 else None
-        bar.update(self._tasks[stage], description=what, completed=fraction, total=total)
+        bar.update(
+            self._tasks[stage],
+            description=what,
+            completed=fraction,
+            total=1.0 if fraction > 0.0 else None,
+        )
 
     def announce_compilation(self, kernel: Kernel) -> None:
         """Say that machine code is being made and, if it can be kept, make all there is."""
@@ -183,12 +188,13 @@ def _option_text(name: str, value: Any) -> str:
     return f"{option} {shown}"
 
 
-def wrapped(text: str) -> str:
+def folded(text: str) -> str:
     """Return a message folded to the width of the terminal; as it is if stderr is none."""
     if not sys.stderr.isatty():
         return text
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(
+        text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def listed_files(
@@ -197,18 +203,17 @@ def listed_files(
     """Return the lines that name the files written and their notes; empty if there are none."""
     if not files:
         return ""
-    from asbuilt.writers.files import file_lines
 
     width = max(11, *(len(kind) for kind in files))
-    return "\n".join(["", "", "written:", *file_lines(files, notes or {}, width)])
+    return "\n".join(["", "", "written:", *writers.file_lines(files, notes or {}, width)])
 
 
 def brief_files(files: Mapping[str, Path], following: str) -> str:
     """Return lines that name the folder of the files written, and the command that follows."""
-    from asbuilt.tables import wrapped as fitted
+    from asbuilt.tables import wrapped
 
-    lines = [fitted(following, "Next: ")]
+    lines = [wrapped(following, "Next: ")]
     if files:
         names = ", ".join(path.name for path in files.values())
-        lines.insert(0, fitted(f"{next(iter(files.values())).parent}: {names}", "Written to "))
+        lines.insert(0, wrapped(f"{next(iter(files.values())).parent}: {names}", "Written to "))
     return "\n".join(["", *lines])

@@ -21,7 +21,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from asbuilt.cli.answers import cure_text, screen_of, wrapped
+from asbuilt.cli.answers import cure_text, folded, screen_of
 from asbuilt.cli.arguments.spread import Common, print_version, spread
 from asbuilt.cli.commands import COMMANDS, EVERY_COMMAND, GROUPS, SUBCOMMANDS, Entry
 from asbuilt.errors import AsbuiltError, UsageError, without_long_words
@@ -300,7 +300,7 @@ def _fail(
         print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
     else:
         text = f"asbuilt: {message}" + (f"; {hint}" if hint else "")
-        _say(wrapped(text))
+        _say(folded(text))
     return status
 
 

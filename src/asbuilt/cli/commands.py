@@ -50,7 +50,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             compiles=False,
         ),
         "masses": Entry(
-            "masses",
+            "robot",
             "Compute link masses from meshes and materials, or from a table.",
             (
                 "my_robot.urdf --meshes meshes --material aluminium",
@@ -139,7 +139,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             compiles=False,
         ),
         "gains": Entry(
-            "calibration.gains",
+            "calibration",
             "Find torque per logged unit from a payload of known mass.",
             (
                 "ur10e bare.csv --loaded loaded.csv --mass 5",
@@ -148,7 +148,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "find_gains",
         ),
         "channels": Entry(
-            "calibration.channels",
+            "calibration",
             "Identify link and motor side from two torque channels.",
             (
                 "kuka-iiwa7-r800 sensors.csv --motor motors.csv",
@@ -168,20 +168,20 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "identify",
         ),
         "validate": Entry(
-            "identify",
+            "validation",
             "Predict other recordings with the result and with CAD.",
             ("study/result.json other.csv", "ur10e other.csv --json"),
             "validate",
         ),
         "compare": Entry(
-            "identify",
+            "validation",
             "Compare CAD with the robot as built, or two results.",
             ("study/result.json", "before.json --with after.json -o changes"),
             "compare",
             surplus="two results are compared by asbuilt compare RESULT --with RESULT2",
         ),
         "review": Entry(
-            "review",
+            "validation",
             "Judge the numbers that a description claims by recordings.",
             (
                 "tuned.xml log.csv --torque-source command",
@@ -190,7 +190,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "review",
         ),
         "payload": Entry(
-            "calibration.payload",
+            "calibration",
             "Find mass, centre and inertia of what the flange carries.",
             (
                 "study/result.json loaded.csv",
@@ -199,7 +199,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "identify_payload",
         ),
         "watch": Entry(
-            "monitoring",
+            "validation",
             "Watch a log for external torque, contact and fault.",
             (
                 "study/result.json log.csv --calibrate quiet.csv",
@@ -208,7 +208,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "watch",
         ),
         "export": Entry(
-            "robot",
+            "identify",
             "Write the identified robot, or many of it, for other software.",
             (
                 "study/result.json --urdf arm.urdf --to isaac-lab=actuators.py",
@@ -232,7 +232,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
     },
     "Complete runs": {
         "open": Entry(
-            "page.command",
+            "page.server",
             "Open a page in the browser: from files to a trusted model.",
             ("", "my_robot.urdf log.csv --no-browser"),
             "",
@@ -285,13 +285,13 @@ SUBCOMMANDS: dict[str, dict[str, Entry]] = {
             "fleet_identify",
         ),
         "drift": Entry(
-            "fleet_drift",
+            "fleet",
             "Find the robots that changed: when, what and how large.",
             ("ledger", "ledger --since 2026-03-01 --json"),
             "fleet_drift",
         ),
         "report": Entry(
-            "fleet_drift",
+            "fleet",
             "Write a page of each robot's history, those that changed first.",
             ("ledger --out page", "ledger --since 2026-03-01 -o page"),
             "write_fleet_report",

@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
 import asbuilt
-from asbuilt import FleetIdentification, FleetOptions, ReadingOptions, StudyOptions, UsageError
+from asbuilt import (
+    FleetIdentification,
+    FleetOptions,
+    ReadingOptions,
+    StudyOptions,
+    UsageError,
+    workflow,
+    writers,
+)
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
-from asbuilt.cli.arguments.options import AsJson, Filtering, Full, Logs, Out, Robot, Unchecked
-
-if TYPE_CHECKING:
-    from asbuilt.workflow.fleet.reduction.add import Addition
+from asbuilt.cli.arguments.options import (
+    AsJson,
+    Filtering,
+    Full,
+    Logs,
+    Out,
+    Robot,
+    Unchecked,
+    writable_folder,
+)
+from asbuilt.workflow.fleet.options import FleetDriftOptions
 
 LedgerPlace = Annotated[
     str,
@@ -80,7 +97,6 @@ def add(
         raise UsageError("give the identity of the robot by --id ID or by --id-from PATTERN")
     asked = _asked(drive, unchecked, filtering)
     from asbuilt.workflow.fleet.reduction.add import id_from as identity_from
-    from asbuilt.workflow.fleet.reduction.log_source import parse_date
 
     identity = id if id is not None else identity_from(str(id_from))
     with progress_bar() as report:
@@ -92,20 +108,18 @@ def add(
             reading=reading,
             options=asked,
             fleet=fleet,
-            date=None if date is None else parse_date(date),
+            date=_date(date),
             progress=report,
         )
     _answer_addition(done, full, as_json)
 
 
-def _answer_addition(done: Addition, full: bool, as_json: bool) -> None:
+def _answer_addition(done: workflow.Addition, full: bool, as_json: bool) -> None:
     """Print what was added; logs that failed are the exit status."""
-    from asbuilt.writers.tables.fleet_tables import addition_document, addition_text
-
     answer(
         as_json,
-        lambda: addition_document(done),
-        lambda: addition_text(done, finding_text, cure_text, full=full),
+        lambda: writers.addition_document(done),
+        lambda: writers.addition_text(done, finding_text, cure_text, full=full),
     )
     if done.failed:
         raise typer.Exit(FAILED)
@@ -155,11 +169,8 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show the robots of a ledger, their logs and settings."""
-    opened = asbuilt.open_ledger(ledger)
-    from asbuilt.writers.tables.fleet_tables import overview_text
-
-    seen = asbuilt.fleet_overview(opened, thorough=thorough)
-    answer(as_json, seen.as_document, lambda: overview_text(seen, finding_text, full=full))
+    seen = asbuilt.fleet_overview(asbuilt.open_ledger(ledger), thorough=thorough)
+    answer(as_json, seen.as_document, lambda: writers.overview_text(seen, finding_text, full=full))
 
 
 def identify(
@@ -178,26 +189,91 @@ def identify(
     The parameters are those of `asbuilt identify` on the same logs with the same method, chain and
     drive terms.
     """
-    opened = asbuilt.open_ledger(ledger)
-    from asbuilt.workflow.fleet.reduction.log_source import parse_date
-    from asbuilt.writers.reports.study_files import (
-        study_document,
-        study_text,
-        write_study,
+    study = asbuilt.fleet_identify(
+        asbuilt.open_ledger(ledger), id, since=_date(since), until=_date(until), options=options
     )
-
-    first, last = (None if text is None else parse_date(text) for text in (since, until))
-    study = asbuilt.fleet_identify(opened, id, since=first, until=last, options=options)
-    files, notes = write_study(out, study) if out is not None else ({}, {})
+    files, notes = writers.write_study(out, study) if out is not None else ({}, {})
     answer(
         as_json,
-        lambda: study_document(study, files, notes) | {"id": id},
-        lambda: study_text(study, full=full, cure_text=cure_text) + listed_files(files, notes),
+        lambda: writers.study_document(study, files, notes) | {"id": id},
+        lambda: (
+            writers.study_text(study, full=full, cure_text=cure_text) + listed_files(files, notes)
+        ),
     )
+
+
+def _date(text: str | None) -> datetime | None:
+    """Return the date that a text names, None without a text."""
+    from asbuilt.workflow.fleet.reduction.log_source import parse_date
+
+    return None if text is None else parse_date(text)
 
 
 def _asked(drive: str | None, unchecked: bool, filtering: Filtering) -> StudyOptions:
     if filtering.cutoff == "auto":
         raise UsageError("a ledger takes a cutoff in Hz, or the one chosen from the first log")
-    chain = filtering.chain() if any(filtering.given.values()) else None
-    return replace(StudyOptions(), drive=drive, chain=chain, checked=not unchecked)
+    return replace(
+        StudyOptions(),
+        drive=drive,
+        chain=filtering.chain() if any(filtering.given.values()) else None,
+        checked=not unchecked,
+    )
+
+
+ChangesSince = Annotated[
+    str | None,
+    typer.Option(
+        "--since",
+        metavar="DATE",
+        help="look for changes on this date (UTC) or later; earlier logs are the reference",
+    ),
+]
+
+
+def drift(
+    ledger: LedgerPlace,
+    *,
+    since: ChangesSince = None,
+    options: FleetDriftOptions,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the robots of a fleet that changed: which, when, what and how large.
+
+    Natural variation from day to day is estimated from all robots of a type.
+    """
+    opened = asbuilt.open_ledger(ledger)
+
+    with progress_bar() as report:
+        found = asbuilt.fleet_drift(opened, since=_date(since), options=options, progress=report)
+    answer(as_json, found.as_document, lambda: writers.drift_text(found, finding_text, full=full))
+
+
+def report(
+    ledger: LedgerPlace,
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="folder for the page", callback=writable_folder
+        ),
+    ],
+    since: ChangesSince = None,
+    options: FleetDriftOptions,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a page of a fleet: each robot's history, those that changed first.
+
+    The page needs no server and no network.
+    """
+    opened = asbuilt.open_ledger(ledger)
+
+    with progress_bar() as tell:
+        found = asbuilt.fleet_drift(opened, since=_date(since), options=options, progress=tell)
+    files = {"report": asbuilt.write_fleet_report(out / "fleet.html", found)}
+    answer(
+        as_json,
+        lambda: found.as_document() | {"files": {"report": str(files["report"])}},
+        lambda: writers.drift_text(found, finding_text, full=full) + listed_files(files),
+    )

@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 import asbuilt
-from asbuilt import DesignOptions, UsageError
+from asbuilt import DesignOptions, UsageError, excitation, writers
 from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -26,10 +26,6 @@ from asbuilt.cli.arguments.options import (
     writable_folder,
 )
 from asbuilt.cli.arguments.spread import given_options
-
-if TYPE_CHECKING:
-    from asbuilt.excitation.design.multistart import SearchProgress
-    from asbuilt.excitation.motions.motion import Motion
 
 OF_MOTIONS = (
     *("--parametrisation", "--harmonics", "--criterion", "--focus", "--periods"),
@@ -104,9 +100,6 @@ def excite(
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
     model, base, prior = described_robot(robot, fixed_base=fixed_base), None, None
     from asbuilt.identification.information.known_information import known_information
-    from asbuilt.writers.programs.format import program_format
-    from asbuilt.writers.reports.motion_report import write_motion_report
-    from asbuilt.writers.tables.design_tables import design_document, design_text
 
     if given is not None:
         known = asbuilt.read_result(given)
@@ -117,26 +110,26 @@ def excite(
             options = replace(options, noise=tuple(known.sigma.tolist()))
     family = "point-to-point" if static is not None else options.parametrisation
     for form in program or ():
-        program_format(form, model, family)
+        writers.program_format(form, model, family)
 
     def written(found: Any) -> dict[str, Path]:
         files = {"motion": asbuilt.write_motion(out, found.motion, model.joint_names, rate)}
         files |= _programs(model, found.motion, program, out, options.collision)
         page = out.with_suffix(".html")
-        return files | ({"report": write_motion_report(page, found)} if report else {})
+        return files | ({"report": writers.write_motion_report(page, found)} if report else {})
 
     if static is not None:
         poses = asbuilt.design_static_poses(model, static, options)
         files = written(poses)
         answer(
             as_json,
-            lambda: design_document(poses, files),
-            lambda: design_text(poses, full=full, spell=cure_text) + listed_files(files),
+            lambda: writers.design_document(poses, files),
+            lambda: writers.design_text(poses, full=full, spell=cure_text) + listed_files(files),
         )
         return
     with progress_bar() as show:
 
-        def progress(state: SearchProgress) -> None:
+        def progress(state: excitation.SearchProgress) -> None:
             best = f": best {state.best:.2f}" if math.isfinite(state.best) else ""
             show(state.phase + best, state.share)
 
@@ -152,8 +145,8 @@ def excite(
         files = written(design)
     answer(
         as_json,
-        lambda: design_document(design, files),
-        lambda: design_text(design, full=full, spell=cure_text) + listed_files(files),
+        lambda: writers.design_document(design, files),
+        lambda: writers.design_text(design, full=full, spell=cure_text) + listed_files(files),
     )
 
 
@@ -174,18 +167,16 @@ def _refuse_idle(
 
 def _programs(
     model: asbuilt.RobotModel,
-    motion: Motion,
+    motion: excitation.Motion,
     forms: Sequence[str] | None,
     out: Path,
     collision: str | None,
 ) -> dict[str, Path]:
     """Write the programs of a motion into folders beside its file."""
-    from asbuilt.writers.programs.program import write_program
-
     files: dict[str, Path] = {}
     for form in forms or ():
         made = asbuilt.make_program(model, motion, form, name=out.stem, collision=collision)
-        written = write_program(out.with_name(f"{out.stem}_{form}"), made)
+        written = writers.write_program(out.with_name(f"{out.stem}_{form}"), made)
         files |= {f"{form}_{role}": path for role, path in written.items()}
     return files
 
@@ -243,18 +234,13 @@ def program(
 ) -> None:
     """Write a program that makes a real controller run a motion and record it."""
     model, title = described_robot(robot), name or motion.stem
-    from asbuilt.writers.programs.format import program_format
-    from asbuilt.writers.programs.program import (
-        program_document,
-        program_request,
-        program_text,
-        write_program,
-    )
 
-    request = program_request(model, motion, form, name=title, rate=rate, collision=collision)
-    files = write_program(out, program_format(form).files(request))
+    request = writers.program_request(
+        model, motion, form, name=title, rate=rate, collision=collision
+    )
+    files = writers.write_program(out, writers.program_format(form).files(request))
     answer(
         as_json,
-        lambda: program_document(request, form, files),
-        lambda: program_text(request, form, full=full) + listed_files(files),
+        lambda: writers.program_document(request, form, files),
+        lambda: writers.program_text(request, form, full=full) + listed_files(files),
     )

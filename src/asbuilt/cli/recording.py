@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 import asbuilt
-from asbuilt import ReadingOptions, UsageError
+from asbuilt import ReadingOptions, UsageError, excitation, workflow, writers
 from asbuilt.cli.answers import answer, cure_text, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
@@ -29,9 +29,7 @@ from asbuilt.cli.arguments.options import (
     writable_file,
 )
 from asbuilt.cli.arguments.spread import one_of
-
-if TYPE_CHECKING:
-    from asbuilt.excitation.motions.motion import Motion
+from asbuilt.description.inertia import tool_from_text
 
 
 def check(
@@ -59,25 +57,20 @@ def check(
     model, (recordings,) = robot_and_recordings(
         described_robot(robot, **reading.of_base), reading, log
     )
-    from asbuilt.workflow.information_efficiency import recorded_information
-    from asbuilt.writers.files import path_texts
-    from asbuilt.writers.tables.tabular import check_document
 
     checks = [asbuilt.check_recording(model, recording) for recording in recordings]
+    # What limits a motion on legs is balance, of which limits of joints say nothing.
+    information = information and not model.n_floating
     carried = [
-        recorded_information(model, recording) if information and found.ok else None
+        workflow.recorded_information(model, recording) if information and found.ok else None
         for recording, found in zip(recordings, checks, strict=True)
     ]
-    files = {}
+    document, files = writers.check_document(model, checks, carried), {}
     if out is not None:
-        from asbuilt.writers.reports.watch_files import write_check_page
-
-        files = write_check_page(out, recordings, checks, finding_text)
+        files = writers.write_check_page(out, recordings, checks, finding_text)
     answer(
         as_json,
-        lambda: (
-            check_document(model, checks, carried) | ({"files": path_texts(files)} if files else {})
-        ),
+        lambda: writers.with_files(document, files) if files else document,
         lambda: (
             "\n\n".join(
                 found.as_text(full=full, cure_text=cure_text)
@@ -207,18 +200,12 @@ def simulate(
     runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
     kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))
     model = robot_as_built(robot, fixed_base=fixed_base)
-    from asbuilt.description.tool import tool_from_text
 
     carried = None if tool is None else tool_from_text(tool)
     if at is not None and carried is None:
         raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     from asbuilt.experiment.virtual.settings import with_settings
     from asbuilt.identification.calibration.payload import payload_frame
-    from asbuilt.writers.recording_files import (
-        simulate_document,
-        simulation_text,
-        write_simulation,
-    )
 
     place = None if carried is None else payload_frame(model, at)[0]
     if free is not None:
@@ -248,17 +235,17 @@ def simulate(
     virtual = with_settings(virtual.logging(rate), settings or ())
     with progress_bar() as report:
         simulated = virtual.record(moved, seed, progress=lambda fraction: report("move", fraction))
-    files = write_simulation(out or Path("recording.csv"), simulated)
+    files = writers.write_simulation(out or Path("recording.csv"), simulated)
     answer(
         as_json,
-        lambda: simulate_document(simulated, files),
-        lambda: simulation_text(simulated) + listed_files(files),
+        lambda: writers.simulate_document(simulated, files),
+        lambda: writers.simulation_text(simulated) + listed_files(files),
     )
 
 
 def _motion(
     model: asbuilt.RobotModel, motion: Path | None, duration: float | None, seed: int, *, fast: bool
-) -> Motion:
+) -> excitation.Motion:
     """Return the motion of a file, or a random one."""
     if motion is not None:
         return asbuilt.read_motion(motion, model)
@@ -278,12 +265,7 @@ def _simulate_free(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    from asbuilt.experiment.virtual.bodies import with_body
-    from asbuilt.writers.recording_files import (
-        free_motion_document,
-        free_motion_text,
-        write_free_motion,
-    )
+    from asbuilt.experiment.virtual.presets import with_body
 
     moved = asbuilt.run_free(
         model if tool is None else with_body(model, tool, place),
@@ -291,9 +273,9 @@ def _simulate_free(
         duration=3.0 if duration is None else duration,
         start=number_list("--start", start) or None,
     )
-    files = write_free_motion(out or Path("free.csv"), moved)
+    files = writers.write_free_motion(out or Path("free.csv"), moved)
     answer(
         as_json,
-        lambda: free_motion_document(moved, files),
-        lambda: free_motion_text(moved) + listed_files(files),
+        lambda: writers.free_motion_document(moved, files),
+        lambda: writers.free_motion_text(moved) + listed_files(files),
     )

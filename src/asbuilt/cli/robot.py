@@ -5,13 +5,21 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import Annotated, cast
 
 import typer
 
 import asbuilt
-from asbuilt import MotionError, ReadingOptions, RecordingError, UsageError
-from asbuilt.cli.answers import answer, listed_files, progress_bar
+from asbuilt import (
+    MotionError,
+    ReadingOptions,
+    RecordingError,
+    UsageError,
+    excitation,
+    experiment,
+    writers,
+)
+from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
 from asbuilt.cli.arguments.options import (
     AsJson,
     Browser,
@@ -20,43 +28,35 @@ from asbuilt.cli.arguments.options import (
     FixedBase,
     FreeBase,
     Full,
-    Out,
     PagePort,
-    Processes,
-    Result,
     Robot,
     RobotOrResult,
-    Scheduler,
-    Seed,
     described_robot,
     refuse_idle,
-    refuse_sharing,
     robot_as_built,
-    shared_work,
     writable_file,
 )
-from asbuilt.cli.arguments.spread import given_options
-
-if TYPE_CHECKING:
-    from asbuilt.excitation.motions.motion import Motion
-    from asbuilt.executor import Workers
-    from asbuilt.experiment.logs.long_recordings import RecordingStream
+from asbuilt.cli.arguments.spread import given_options, one_of
+from asbuilt.codec import json_text
+from asbuilt.description.catalogue import bundled_robot, robot_names
+from asbuilt.description.structure.locking import locks_from_text
+from asbuilt.experiment.logs.options import gravity_of
+from asbuilt.tables import stacked, wrapped
 
 
 def robots(full: Full = False, as_json: AsJson = False) -> None:
     """List the bundled robots."""
-    from asbuilt.description.catalogue import bundled_robot, robot_names
-    from asbuilt.writers.tables.robot_tables import robots_document, robots_table
-
     models = [bundled_robot(name) for name in robot_names()]
-    answer(as_json, lambda: robots_document(models), lambda: robots_table(models).as_text(full))
+    answer(
+        as_json,
+        lambda: writers.robots_document(models),
+        lambda: writers.robots_table(models).as_text(full),
+    )
 
 
 def drives(full: Full = False, as_json: AsJson = False) -> None:
     """List the drive terms that --drive takes, with their options."""
-    from asbuilt.writers.tables.drive_tables import drives_document, drives_text
-
-    answer(as_json, drives_document, lambda: drives_text(full))
+    answer(as_json, writers.drives_document, lambda: writers.drives_text(full))
 
 
 def show(
@@ -71,13 +71,13 @@ def show(
 
     Of a result, those of the robot as built, masses of CAD beside them.
     """
-    from asbuilt.writers.tables.robot_tables import robot_document, robot_text
-
     if Path(robot).suffix.lower() != ".json":
         model = described_robot(
             robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts
         )
-        answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
+        answer(
+            as_json, lambda: writers.robot_document(model), lambda: writers.robot_text(model, full)
+        )
         return
     refuse_idle(
         "the robot of a result is taken as it was identified",
@@ -88,16 +88,16 @@ def show(
         },
     )
     result = asbuilt.read_result(Path(robot))
-    from asbuilt.writers.models.as_built import as_built_model
-    from asbuilt.writers.tables.mass_tables import exported_masses, mass_table
 
-    model, masses = as_built_model(result), exported_masses(result)
+    model, masses = writers.as_built(result).model, writers.exported_masses(result)
     answer(
         as_json,
-        lambda: robot_document(model) | {"mass": None if masses is None else masses.as_dict()},
         lambda: (
-            ("" if masses is None else mass_table(masses).as_text(full) + "\n")
-            + robot_text(model, full)
+            writers.robot_document(model) | {"mass": None if masses is None else masses.as_dict()}
+        ),
+        lambda: (
+            ("" if masses is None else writers.mass_table(masses).as_text(full) + "\n")
+            + writers.robot_text(model, full)
         ),
     )
 
@@ -122,11 +122,8 @@ def schema(
 
     An editor then checks and completes it: its first line is `#:schema ./FILE`.
     """
-    from asbuilt.codec import json_text
-    from asbuilt.writers.schemas import json_schema, write_schema
-
-    content = json_schema(kind)
-    files = {} if out is None else {"schema": write_schema(kind, out)}
+    content = writers.json_schema(kind)
+    files = {} if out is None else {"schema": writers.write_schema(kind, out)}
     text = listed_files(files) if files else json_text(content)
     answer(as_json, lambda: content, lambda: text)
 
@@ -144,23 +141,16 @@ def base(
 
     The full text says why, parameter by parameter.
     """
-    from asbuilt.dynamics.drives.defaults import on_driven_joints
-    from asbuilt.tables import stacked
-    from asbuilt.writers.tables.robot_tables import (
-        base_table,
-        identifiability_table,
-        standard_table,
-    )
-    from asbuilt.writers.tables.tabular import base_document
+    from asbuilt.dynamics.drives.torque import on_driven_joints
 
     model = described_robot(robot, fixed_base=fixed_base, free_base=free_base, contacts=contacts)
     chosen = asbuilt.DriveSet.parse(drive or model.usual_drive or "none")
     found = asbuilt.find_base_parameters(model, on_driven_joints(model, chosen))
-    standard = standard_table if full else identifiability_table
+    standard = writers.standard_table if full else writers.identifiability_table
     answer(
         as_json,
-        lambda: base_document(found, model),
-        lambda: stacked((base_table(found, model), standard(found)), full),
+        lambda: writers.base_document(found, model),
+        lambda: stacked((writers.base_table(found, model), standard(found)), full),
     )
 
 
@@ -223,15 +213,15 @@ def view(
         shown.close()
 
 
-def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> Motion:
+def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> excitation.Motion:
     """Return the motion of a motion file, or of a recording in any format."""
-    from asbuilt.writers.pictures.motion_view import motion_of_recording
-
     options = replace(reading, fixed_base=False)
 
-    def logged() -> Motion:
+    def logged() -> excitation.Motion:
         (recording,) = asbuilt.as_recordings(model, path, options)
-        return motion_of_recording(cast("asbuilt.Recording | RecordingStream", recording))
+        return writers.motion_of_recording(
+            cast("asbuilt.Recording | experiment.RecordingStream", recording)
+        )
 
     try:
         if path.suffix.lower() == ".csv" and not any(given_options(options).values()):
@@ -241,172 +231,6 @@ def _played(model: asbuilt.RobotModel, path: Path, reading: ReadingOptions) -> M
             return logged()
         raise problem from None
     return logged()
-
-
-def export(
-    result: Result,
-    urdf: Annotated[
-        Path | None,
-        typer.Option(
-            "--urdf",
-            metavar="FILE",
-            help="URDF, the original as built; with --ensemble alone: URDF in place of MJCF",
-        ),
-    ] = None,
-    mjcf: Annotated[
-        Path | None, typer.Option("--mjcf", metavar="FILE", help="MJCF, for MuJoCo")
-    ] = None,
-    toml: Annotated[
-        Path | None, typer.Option("--toml", metavar="FILE", help="robot file of asbuilt")
-    ] = None,
-    c: Annotated[
-        Path | None,
-        typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it"),
-    ] = None,
-    observer: Annotated[
-        Path | None,
-        typer.Option(
-            "--observer",
-            metavar="FILE",
-            help="C99 code FILE.c and FILE.h of the momentum observer and the dynamics it needs",
-        ),
-    ] = None,
-    thresholds: Annotated[
-        Path | None,
-        typer.Option(
-            "--thresholds",
-            metavar="FILE",
-            help="thresholds.json of `asbuilt watch`, for --observer",
-        ),
-    ] = None,
-    original: Annotated[
-        Path | None,
-        typer.Option(
-            "--original",
-            metavar="FILE",
-            help="URDF to edit [default: that of the robot]",
-        ),
-    ] = None,
-    nearest: Annotated[
-        bool,
-        typer.Option(
-            "--nearest",
-            help=(
-                "if the identified parameters are physically inconsistent, write the nearest"
-                " consistent model"
-            ),
-        ),
-    ] = False,
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="with --nearest: write it however large its error"),
-    ] = False,
-    elastic: Annotated[
-        bool,
-        typer.Option(
-            "--elastic",
-            help="in MJCF, a joint each for motor and link where two encoders show the stiffness",
-        ),
-    ] = False,
-    to: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--to",
-            metavar="FORMAT=FILE",
-            help="for a simulator: isaac-lab, usd, mjlab, bam or ros2-control; repeat for more",
-        ),
-    ] = None,
-    ensemble: Annotated[
-        int | None,
-        typer.Option(
-            "--ensemble",
-            metavar="N",
-            min=1,
-            max=100_000,
-            help="N robots drawn from the uncertainty, with their ranges; needs --out",
-        ),
-    ] = None,
-    seed: Seed = 0,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
-    out: Out = None,
-    full: Full = False,
-    as_json: AsJson = False,
-) -> None:
-    """Write the identified robot for other software.
-
-    With --ensemble: many robots that the recordings allow, for domain randomization.
-    """
-    bare = urdf == Path()
-    if ensemble is not None:
-        others = {"--mjcf": mjcf, "--toml": toml, "--c": c, "--original": original}
-        refuse_idle(
-            "an ensemble is a set of MJCF or URDF files in one folder",
-            {name: given is not None for name, given in others.items()}
-            | {"--urdf FILE": urdf is not None and not bare, "--nearest": nearest}
-            | {"--force": force, "--to": bool(to), "--observer": observer is not None}
-            | {"--elastic": elastic},
-        )
-        with shared_work(workers, scheduler) as shared:
-            models: Literal["mjcf", "urdf"] = "urdf" if bare else "mjcf"
-            _export_ensemble(
-                asbuilt.read_result(result), ensemble, models, seed, out, shared, full=full,
-                as_json=as_json,
-            )  # fmt: skip
-        return
-    refuse_sharing("only the draws of an ensemble are shared", workers, scheduler)
-    if bare:
-        raise UsageError("--urdf needs the name of a file, or --ensemble N")
-    refuse_idle("files are named one by one without --ensemble", {"--out": out is not None})
-    places, identified = _places(to or []), asbuilt.read_result(result)
-
-    exported = asbuilt.export_result(
-        identified,
-        urdf=urdf,
-        mjcf=mjcf,
-        toml=toml,
-        c=c,
-        observer=observer,
-        thresholds=None if thresholds is None else asbuilt.read_thresholds(thresholds),
-        original=original,
-        nearest=nearest,
-        force=force,
-        simulators=places,
-        elastic=elastic,
-    )
-    answer(as_json, exported.as_document, exported.as_text)
-
-
-def _places(to: list[str]) -> dict[str, Path]:
-    """Return the file of each simulator format, from FORMAT=FILE."""
-    places: dict[str, Path] = {}
-    for each in to:
-        key, equals, place = each.partition("=")
-        if not equals or not place:
-            raise UsageError(f"--to takes FORMAT=FILE, got {each!r}", value=each)
-        if key in places:
-            raise UsageError(f"--to {key} is given twice", value=each)
-        places[key] = Path(place)
-    return places
-
-
-def _export_ensemble(
-    result: asbuilt.IdentificationResult,
-    n: int,
-    models: Literal["mjcf", "urdf"],
-    seed: int,
-    out: Path | None,
-    workers: Workers | None,
-    *,
-    full: bool,
-    as_json: bool,
-) -> None:
-
-    if out is None:
-        raise UsageError("an ensemble is a folder of files; name it with --out DIR")
-    drawn = asbuilt.draw_ensemble(result, n, rng=seed, workers=workers)
-    written = asbuilt.write_ensemble(out, drawn, models=models, seed=seed)
-    answer(as_json, written.as_document, lambda: written.as_text(full))
 
 
 def convert(
@@ -439,9 +263,6 @@ def convert(
     A robot file (.toml) also holds gravity, couplings of motors and drives, which can be added
     there by hand. What the format cannot hold is listed; shapes and meshes are left out.
     """
-    from asbuilt.description.structure.locking import locks_from_text
-    from asbuilt.experiment.logs.options import gravity_of
-
     model = described_robot(robot, fixed_base=fixed_base)
     if lock is not None:
         model = model.locked(locks_from_text(lock))
@@ -449,3 +270,100 @@ def convert(
         model = model.with_gravity(gravity_of(gravity))
     converted = asbuilt.convert_robot(model, writable_file(out) or out)
     answer(as_json, converted.as_document, converted.as_text)
+
+
+def masses(
+    robot: Robot,
+    meshes: Annotated[
+        Path | None,
+        typer.Option("--meshes", metavar="DIR", help="folder with the meshes of the URDF"),
+    ] = None,
+    density: Annotated[
+        str | None,
+        typer.Option("--density", metavar="LIST", help="kg/m^3: 2700, or link_1=2700,link_2=1050"),
+    ] = None,
+    material: Annotated[
+        str | None,
+        typer.Option("--material", metavar="LIST", help="aluminium, or link_1=steel,link_2=abs"),
+    ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="FILE", help="mass properties that a CAD program wrote"),
+    ] = None,
+    about: Annotated[
+        str | None,
+        typer.Option("--about", metavar="POINT", help="of the table's inertia: com or origin"),
+    ] = None,
+    products: Annotated[
+        str | None,
+        typer.Option("--products", metavar="SIGN", help="of the table: tensor or integral"),
+    ] = None,
+    geometry: Annotated[
+        str,
+        typer.Option("--geometry", metavar="KIND", help="visual or collision, where both exist"),
+    ] = "visual",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="robot with the computed mass properties, .urdf or .toml",
+            callback=writable_file,
+        ),
+    ] = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compute mass properties of links from meshes and materials or from a CAD table.
+
+    They stand beside those of the description, the least plausible first. Without densities,
+    materials and table, each link keeps its mass, spread evenly over its geometry.
+    """
+    found = asbuilt.link_masses(
+        described_robot(robot),
+        meshes=meshes,
+        density=_numbers(_by_link("--density", density)),
+        material=_by_link("--material", material),
+        table=table,
+        about=None if about is None else one_of("--about", about, ("com", "origin")),
+        products=None
+        if products is None
+        else one_of("--products", products, ("tensor", "integral")),
+        prefer=one_of("--geometry", geometry, ("visual", "collision")),
+    )
+    files, notes = {}, {}
+    if out is not None:
+        files["robot"], said = writers.write_masses(out, found)
+        notes["robot"] = said
+    shown = found.findings if full else found.findings[:10]
+    lines = [wrapped(finding_text(finding)) for finding in shown]
+    if len(found.findings) > len(shown):
+        lines.append(f"{len(found.findings) - len(shown)} more findings: --full")
+    answer(
+        as_json,
+        lambda: writers.with_files(writers.masses_document(found), files),
+        lambda: (
+            "\n".join([writers.masses_table(found).as_text(full), *lines])
+            + listed_files(files, notes)
+        ),
+    )
+
+
+def _by_link(option: str, text: str | None) -> str | dict[str, str] | None:
+    """Return one value for all links, or values by link."""
+    if text is None or "=" not in text:
+        return text
+    pairs = [entry.partition("=") for entry in text.split(",")]
+    if any(not name.strip() or not value.strip() for name, _, value in pairs):
+        raise UsageError(f"{option} must be one value or LINK=VALUE,..., got {text!r}")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def _numbers(given: str | dict[str, str] | None) -> float | dict[str, float] | None:
+    try:
+        if isinstance(given, dict):
+            return {name: float(value) for name, value in given.items()}
+        return None if given is None else float(given)
+    except ValueError as error:
+        raise UsageError(f"--density takes numbers in kg/m^3: {error}") from None

@@ -1,3 +1,5 @@
+from .appearance import Solid as Solid
+from .appearance import link_solids as link_solids
 from .cad.meshes import link_from_meshes as link_from_meshes
 from .cad.meshes import mesh_inertia as mesh_inertia
 from .cad.table import read_cad_table as read_cad_table
@@ -5,9 +7,16 @@ from .catalogue import bundled_robot as bundled_robot
 from .catalogue import robot_names as robot_names
 from .formats.dh import DHRow as DHRow
 from .formats.dh import robot_from_dh as robot_from_dh
+from .formats.xml import described_text as described_text
 from .inertia import LinkInertia as LinkInertia
 from .load import load_robot as load_robot
 from .model import RobotModel as RobotModel
+from .rotation import quaternion_from_rotation as quaternion_from_rotation
+from .rotation import rotation_onto as rotation_onto
+from .structure.loops import Loop as Loop
+from .structure.parts import PLAIN_TERMS as PLAIN_TERMS
+from .structure.parts import ROOT as ROOT
+from .structure.parts import DriveValues as DriveValues
 from .structure.parts import Frame as Frame
 from .structure.parts import Geometry as Geometry
 from .structure.parts import Joint as Joint

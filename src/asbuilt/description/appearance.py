@@ -117,8 +117,7 @@ def _solids(model: RobotModel) -> Iterator[Solid]:
             travel = joint.limits.upper - joint.limits.lower
             back = travel if np.isfinite(travel) else TRAVEL
             yield Solid(k, "rod", origin - back * axis, origin, 0.7 * radius)
-        points = ends[k] or [link.inertia.com]
-        for point in points:
+        for point in ends[k] or [link.inertia.com]:
             for start, stop in _rods(origin, point, axis):
                 yield Solid(k, "rod", start, stop, 0.82 * radius)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from functools import lru_cache
 from importlib.resources import files
 
 from asbuilt.description.model import RobotModel
@@ -22,8 +23,9 @@ def robot_names() -> tuple[str, ...]:
     )
 
 
+@lru_cache(maxsize=16)
 def bundled_robot(name: str) -> RobotModel:
-    """Return a bundled robot.
+    """Return a bundled robot, read once: what is remembered for a robot is then found again.
 
     Raises `DescriptionError` with the names there are and the nearest one.
 

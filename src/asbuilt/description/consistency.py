@@ -13,9 +13,8 @@ def inconsistencies(model: RobotModel) -> tuple[str, ...]:
     Links are numbered from 1; the condition is that of `LinkInertia.inconsistency` (Wensing, Kim
     and Slotine, 2018). A link whose mass properties the description does not give is passed over.
     """
-    reasons = []
-    for number, link in enumerate(model.links, start=1):
-        reason = link.inertia.inconsistency() if link.inertia_known else None
-        if reason is not None:
-            reasons.append(f"link {number}: {reason}")
-    return tuple(reasons)
+    return tuple(
+        f"link {number}: {reason}"
+        for number, link in enumerate(model.links, start=1)
+        if link.inertia_known and (reason := link.inertia.inconsistency()) is not None
+    )

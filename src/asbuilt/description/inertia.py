@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
-from asbuilt.errors import InertiaError
+from asbuilt.arrays import Array, read_only
+from asbuilt.errors import InertiaError, UsageError
 
 PARAMETER_NAMES = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
 """The ten standard inertial parameters of a link about its origin, in the order used everywhere in
@@ -38,7 +38,7 @@ class LinkInertia:
     parameters: Array
 
     def __post_init__(self) -> None:
-        parameters = np.array(self.parameters, dtype=np.float64)
+        parameters = read_only(self.parameters)
         if parameters.shape != (10,):
             raise InertiaError(
                 f"inertial parameters must be 10 numbers ({' '.join(PARAMETER_NAMES)}), got shape"
@@ -47,7 +47,6 @@ class LinkInertia:
         if not np.all(np.isfinite(parameters)):
             bad = PARAMETER_NAMES[int(np.argmin(np.isfinite(parameters)))]
             raise InertiaError(f"inertial parameter {bad} is not finite: {parameters.tolist()}")
-        parameters.setflags(write=False)
         object.__setattr__(self, "parameters", parameters)
 
     @classmethod
@@ -60,8 +59,7 @@ class LinkInertia:
         """
         c = np.asarray(com, dtype=np.float64)
         tensor = np.asarray(inertia_about_com, dtype=np.float64)
-        at_origin = tensor + mass * (c @ c * np.eye(3) - np.outer(c, c))
-        return cls.from_origin(mass, mass * c, at_origin)
+        return cls.from_origin(mass, mass * c, tensor + mass * (c @ c * np.eye(3) - np.outer(c, c)))
 
     @classmethod
     def from_origin(cls, mass: float, first_moment: ArrayLike, inertia: ArrayLike) -> LinkInertia:
@@ -195,9 +193,8 @@ class LinkInertia:
             return None
         if self.mass <= 0.0:
             return f"mass is {self.mass:.4g} kg; it must be positive"
-        tensor = self.inertia_about_com
         slack = CONSISTENCY_TOLERANCE * float(np.trace(np.abs(self.inertia)))
-        moments = dict(zip(("Ixx", "Iyy", "Izz"), np.diag(tensor), strict=True))
+        moments = dict(zip(("Ixx", "Iyy", "Izz"), np.diag(self.inertia_about_com), strict=True))
         for name, moment in moments.items():
             if moment < -slack:
                 return (
@@ -247,8 +244,8 @@ def pseudo_inertias(parameters: ArrayLike) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _parameters_of(pseudo_inertia: Array) -> Array:
-    J = pseudo_inertia
+def _parameters_of(J: Array) -> Array:
+    """Return the ten-vectors (..., 10) of pseudo-inertias (..., 4, 4)."""
     a, b, c = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
     entries = (
         b + c,
@@ -275,3 +272,35 @@ def shift_matrix(placement: ArrayLike) -> Array:
     """
     T = np.asarray(placement, dtype=np.float64)
     return _parameters_of(T @ pseudo_inertias(np.eye(10)) @ T.T).T
+
+
+DENSITY = 2700.0
+"""Of aluminium [kg/m^3]: gives a tool its size."""
+
+
+def tool_from_text(text: str) -> LinkInertia:
+    """Return a ball of aluminium of mass `KG` centred at `X,Y,Z` [m].
+
+    The text is `KG@X,Y,Z`, or `KG` alone for a ball at the origin.
+
+    Raises `UsageError` for any other text.
+
+    Examples
+    --------
+    >>> tool = tool_from_text("2.5@0,0,0.08")
+    >>> tool.mass, tool.com.tolist()
+    (2.5, [0.0, 0.0, 0.08])
+    """
+    weight, _, place = text.partition("@")
+    try:
+        mass = float(weight)
+        com = [float(part) for part in place.split(",")] if place else [0.0, 0.0, 0.0]
+    except ValueError:
+        mass, com = np.nan, []
+    if not (np.isfinite(mass) and mass > 0.0 and len(com) == 3 and np.all(np.isfinite(com))):
+        raise UsageError(
+            "a tool is KG@X,Y,Z: a positive mass and its centre in metres, for example"
+            f" 2.5@0,0,0.08; got {text!r}"
+        )
+    radius = (0.75 * mass / (np.pi * DENSITY)) ** (1.0 / 3.0)
+    return LinkInertia.from_com(mass, com, 0.4 * mass * radius**2 * np.eye(3))

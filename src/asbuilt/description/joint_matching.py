@@ -121,8 +121,7 @@ def _same_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
 
 def _same_named_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
     """Return whether names end alike in more than a number."""
-    shorter = min(key, want, key=len)
-    return _same_end(key, want) and not all(word.isdigit() for word in shorter)
+    return _same_end(key, want) and not all(word.isdigit() for word in min(key, want, key=len))
 
 
 def _both_count(labels: Sequence[str], joint_names: Sequence[str]) -> bool:

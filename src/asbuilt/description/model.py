@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.structure.couplings import (
     Coupling,
@@ -43,8 +43,9 @@ from asbuilt.description.structure.parts import (
     MassRange,
     Mimic,
     Symbols,
+    ancestors,
 )
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 from asbuilt.findings import joined
 from asbuilt.tables import Column, Table
 
@@ -128,13 +129,12 @@ class RobotModel:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        gravity = np.array(self.gravity, dtype=np.float64)
+        gravity = read_only(self.gravity)
         if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
             raise DescriptionError(
                 f"gravity of {self.name} must be three finite numbers, got"
                 f" {np.asarray(self.gravity).tolist()}"
             )
-        gravity.setflags(write=False)
         object.__setattr__(self, "gravity", gravity)
         if len(self.joints) + len(self.followers) == len(self.links):
             if not all(joint.has_motor for joint in self.joints):
@@ -142,20 +142,23 @@ class RobotModel:
             if self.loops and not any(joint.is_passive for joint in self.followers):
                 self._set_passive_joints()
         every = self.moving_joints
-        if not self.joints:
-            raise DescriptionError(
+        refuse(
+            DescriptionError,
+            (
+                not self.joints,
                 f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic"
-                " joint"
-            )
-        if len(every) > MOST_JOINTS:
-            raise DescriptionError(
-                f"{self.name} has {len(every)} moving joints; at most {MOST_JOINTS} are read"
-            )
-        if len(every) != len(self.links):
-            raise DescriptionError(
+                " joint",
+            ),
+            (
+                len(every) > MOST_JOINTS,
+                f"{self.name} has {len(every)} moving joints; at most {MOST_JOINTS} are read",
+            ),
+            (
+                len(every) != len(self.links),
                 f"{self.name}: {len(every)} joints but {len(self.links)} links; joint i must"
-                " move link i"
-            )
+                " move link i",
+            ),
+        )
         for names, what in (
             ([j.name for j in every], "joint"),
             ([j.name_in_tree for j in every], "joint"),
@@ -188,7 +191,7 @@ class RobotModel:
         for contact in self.contacts:
             self.placed(contact.frame)
         if self.motor_coupling is not None:
-            coupling = np.array(self.motor_coupling, dtype=np.float64)
+            coupling = read_only(self.motor_coupling)
             if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(
                 np.isfinite(coupling)
             ):
@@ -201,7 +204,6 @@ class RobotModel:
                     f"{self.name}: motor_coupling is singular: some motion of the joints turns no"
                     f" motor; got {coupling.tolist()}"
                 )
-            coupling.setflags(write=False)
             object.__setattr__(self, "motor_coupling", coupling)
 
     def __repr__(self) -> str:
@@ -458,8 +460,7 @@ class RobotModel:
             self.joints, self.followers, self.links, self.frames
         )
         shares = self.motor_shares
-        turns = np.any(shares, axis=1)
-        turning = np.where(turns[:, None], shares, np.eye(self.n_joints))
+        turning = np.where(np.any(shares, axis=1)[:, None], shares, np.eye(self.n_joints))
         return replace(
             self,
             joints=joints,
@@ -529,10 +530,8 @@ class RobotModel:
         n = self.n_joints
         T = np.eye(n) if self.motor_coupling is None else self.motor_coupling
         if self.coupling is not None:
-            plain = np.all(np.eye(n) == T, axis=1)
-            T = np.where(plain[:, None], self.link_shares[:n], T)
-        alone = np.count_nonzero(T, axis=1) <= 1
-        return np.where(alone[:, None], 0.0, T)
+            T = np.where(np.all(np.eye(n) == T, axis=1)[:, None], self.link_shares[:n], T)
+        return np.where((np.count_nonzero(T, axis=1) <= 1)[:, None], 0.0, T)
 
     def link_positions(self, q: Array) -> Array:
         """Return the positions (..., n_links) of the joints of all links, for q (..., n_joints).
@@ -567,11 +566,7 @@ class RobotModel:
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the links from the root to that of `joint`, itself included, in order."""
-        chain: list[int] = []
-        while joint != ROOT:
-            chain.append(joint)
-            joint = self.parents[joint]
-        return tuple(reversed(chain))
+        return tuple(ancestors(self.moving_joints, joint))
 
     def with_parameters(self, parameters: ArrayLike) -> RobotModel:
         """Return the same robot with other standard inertial parameters, shape (10 n,).

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
-from asbuilt.errors import DescriptionError
+from asbuilt.arrays import Array, read_only
+from asbuilt.errors import DescriptionError, refuse
 
 QUARTER = math.pi / 2.0
 EXACT_TOLERANCE = 1e-12
@@ -198,22 +198,21 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
 
     Raises `DescriptionError`, naming `what` it is, where it is none.
     """
-    T = np.array(values, dtype=np.float64)
+    T = read_only(values)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise DescriptionError(
             f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}"
         )
     fault = rotation_fault(T[:3, :3])
-    if fault is not None:
-        raise DescriptionError(
-            f"{what} does not hold a rotation in its first three rows and columns: {fault}"
-        )
-    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (fault, f"{what} does not hold a rotation in its first three rows and columns: {fault}"),
+        (
+            not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]),
             f"{what} must have the last row 0 0 0 1, got {T[3].tolist()}; translations stand in the"
-            " last column"
-        )
-    T.setflags(write=False)
+            " last column",
+        ),
+    )
     return T
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from asbuilt.description.model import DriveValues, RobotModel
-from asbuilt.description.structure.parts import Joint
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure
 from asbuilt.untrusted import parsed_json, read_text
@@ -79,15 +78,13 @@ class Sibling:
                     f" {', '.join(own)}",
                     cure=Cure("give the numbers of a robot of the same type and description"),
                 )
-        joints = tuple(replace(joint, drive=self._drive(joint)) for joint in model.joints)
+        joints = tuple(
+            replace(joint, drive=replace(joint.drive, **cast(Any, self.drives[joint.name])))
+            for joint in model.joints
+        )
         note = f"links and drives are those of the sibling {self.robot} as built, not of CAD"
         parameters = np.concatenate([self.links[name] for name in model.link_names])
-        robot = model.with_parameters(parameters)
-        return replace(robot, joints=joints, notes=(*model.notes, note))
-
-    def _drive(self, joint: Joint) -> DriveValues:
-        values: dict[str, Any] = dict(self.drives[joint.name])
-        return replace(joint.drive, **values)
+        return replace(model.with_parameters(parameters), joints=joints, notes=(*model.notes, note))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON."""

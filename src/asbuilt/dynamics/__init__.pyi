@@ -10,6 +10,7 @@ from .drives.selection import available_terms as available_terms
 from .drives.term import DriveTerm as DriveTerm
 from .drives.term import NonlinearParameter as NonlinearParameter
 from .drives.term import drive_term as drive_term
+from .drives.torque import described_drive as described_drive
 from .drives.torque import drive_columns as drive_columns
 from .drives.torque import drive_torque as drive_torque
 from .kinematics import link_jacobians as link_jacobians

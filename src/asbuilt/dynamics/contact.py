@@ -37,7 +37,7 @@ def contact_jacobians(model: RobotModel, q: Array) -> tuple[Array, ...]:
         swung = np.cross(np.swapaxes(J[:, :3], 1, 2), placement[:3, 3])
         point = J[:, 3:] + np.swapaxes(swung, 1, 2)
         linear, angular = turn @ point, turn @ J[:, :3]
-        below = np.cross(np.swapaxes(angular, 1, 2), [0.0, 0.0, -contact.radius])
+        below = np.cross(np.swapaxes(angular, 1, 2), [0.0, 0.0, -(contact.radius or 0.0)])
         linear = linear + np.swapaxes(below, 1, 2)
         found.append(np.concatenate([linear, angular], axis=1) if contact.flat else linear)
     return tuple(found)

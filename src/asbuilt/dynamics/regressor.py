@@ -364,10 +364,6 @@ def _plan(model: RobotModel, drive: DriveSet, columns: tuple[int, ...] | None) -
     return RegressorPlan.of(model, drive, columns)
 
 
-def _planned(model: RobotModel, drive: DriveSet, columns: ArrayLike | None) -> RegressorPlan:
-    return _plan(model, drive, None if columns is None else tuple(np.asarray(columns).tolist()))
-
-
 def observation_matrix(
     model: RobotModel,
     q: ArrayLike,
@@ -386,7 +382,8 @@ def observation_matrix(
     those of the drives joint by joint; None takes all.
     """
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
-    return _planned(model, drive, columns).stack(qs, qds, qdds, threads=threads)
+    chosen = None if columns is None else tuple(np.asarray(columns).tolist())
+    return _plan(model, drive, chosen).stack(qs, qds, qdds, threads=threads)
 
 
 def regressor(

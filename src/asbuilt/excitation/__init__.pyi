@@ -1,8 +1,10 @@
 from .design.design import design_motion as design_motion
 from .design.designed_motion import Design as Design
+from .design.multistart import SearchProgress as SearchProgress
 from .design.options import DesignOptions as DesignOptions
 from .design.static_poses import StaticDesign as StaticDesign
 from .design.static_poses import design_static_poses as design_static_poses
+from .design_findings import design_findings as design_findings
 from .information.criteria import Criterion as Criterion
 from .information.efficiency import InformationEfficiency as InformationEfficiency
 from .information.efficiency import information_efficiency as information_efficiency
@@ -13,14 +15,15 @@ from .limits import LimitReport as LimitReport
 from .limits import MotionBounds as MotionBounds
 from .limits import check_motion as check_motion
 from .motions.bspline import BSplineMotion as BSplineMotion
-from .motions.concatenated import Concatenated as Concatenated
 from .motions.fourier import FourierMotion as FourierMotion
 from .motions.motion import Motion as Motion
 from .motions.motion import Trajectory as Trajectory
 from .motions.motion_csv import SampledMotion as SampledMotion
 from .motions.motion_csv import read_motion as read_motion
+from .motions.motion_csv import times_to_end as times_to_end
 from .motions.parametrisation import PARAMETRISATIONS as PARAMETRISATIONS
 from .motions.parametrisation import Parametrisation as Parametrisation
+from .motions.piecewise import Concatenated as Concatenated
 from .motions.point_to_point import PointToPointMotion as PointToPointMotion
 from .motions.quintic import QuinticMotion as QuinticMotion
 from .motions.random_motion import random_fourier as random_fourier

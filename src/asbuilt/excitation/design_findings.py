@@ -7,26 +7,23 @@ import numpy as np
 from asbuilt.excitation.collision.constraint import skeleton_distance
 from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.static_poses import StaticDesign
-from asbuilt.excitation.limits import LimitReport
-from asbuilt.excitation.motions.motion import JUMPING, Motion
+from asbuilt.excitation.motions.motion import JUMPING
 from asbuilt.findings import Cure, Finding, joined, ranked
 
 
 def design_findings(design: Design | StaticDesign) -> tuple[Finding, ...]:
     """Return the findings about a designed motion or static poses, the most severe first."""
-    found = [*_violations(design.limits), _collisions(design)]
-    for note in design.notes:
-        unchecked = note.startswith("NOT CHECKED")
-        found.append(Finding("design_note", "warning" if unchecked else "info", note))
+    found = [
+        Finding("limit_violated", "error", str(margin), joint=margin.joint, time=margin.time)
+        for margin in design.limits.violations
+    ]
+    found.append(_collisions(design))
+    found += [
+        Finding("design_note", "warning" if note.startswith("NOT CHECKED") else "info", note)
+        for note in design.notes
+    ]
     found += _of_motion(design) if isinstance(design, Design) else _of_poses(design)
     return ranked(found)
-
-
-def _violations(limits: LimitReport) -> list[Finding]:
-    return [
-        Finding("limit_violated", "error", str(margin), joint=margin.joint, time=margin.time)
-        for margin in limits.violations
-    ]
 
 
 def _collisions(design: Design | StaticDesign) -> Finding:
@@ -35,7 +32,9 @@ def _collisions(design: Design | StaticDesign) -> Finding:
         text = f"smallest distance between bodies {1000 * distance:.0f} mm"
         return Finding("smallest_distance", "info", text)
     text = "NOT CHECKED FOR COLLISIONS with itself, the floor or anything else"
-    own = _skeleton_distance(design, design.motion)
+    # Rate at which the skeleton of an unchecked motion is tested for collisions [Hz].
+    poses = design.motion.derivative(design.motion.sample_times(100.0))
+    own = skeleton_distance(design.model, poses)
     if own is not None:
         verb = "overlaps itself by" if own < 0 else "keeps this distance from itself:"
         text += f"; the robot's skeleton, as capsules, {verb} {abs(1000 * own):.0f} mm"
@@ -43,47 +42,65 @@ def _collisions(design: Design | StaticDesign) -> Finding:
     return Finding("collisions_unchecked", "warning", text, cure)
 
 
-def _skeleton_distance(design: Design | StaticDesign, motion: Motion) -> float | None:
-    # Rate at which the skeleton of an unchecked motion is tested for collisions [Hz].
-    poses = motion.derivative(motion.sample_times(100.0))
-    return skeleton_distance(design.model, poses)
-
-
 def _of_motion(design: Design) -> list[Finding]:
-    found = []
     undetermined = np.flatnonzero(~np.isfinite(design.std_errors))
-    if undetermined.size:
-        names = joined([design.base.names[k] for k in undetermined])
-        cure = Cure(f"use more {design.size_name}, a longer motion or fewer drive terms")
-        text = f"{undetermined.size} parameters UNDETERMINED by this motion: {names}"
-        found.append(Finding("parameters_undetermined", "warning", text, cure))
-    if design.interrupted:
-        text = f"INTERRUPTED: best of the {len(design.candidates)} searches until then"
-        found.append(Finding("design_interrupted", "warning", text))
-    if design.assumed:
-        text = f"the description lacks limits of {joined(design.assumed)} for some joints"
-        cure = Cure("the usual ones were assumed; add the robot's own limits to the description")
-        found.append(Finding("limits_assumed", "warning", text, cure))
-    if design.motion.parametrisation in JUMPING:
-        text = "the acceleration jumps; the jerk depends on the controller"
-        found.append(Finding("acceleration_jumps", "info", text))
-    for trial in design.trials:
-        periods = "" if trial.periods == 1 else f" in {trial.periods} periods"
-        text = (
-            f"{trial.duration:g} s with {trial.size} {design.size_name}{periods} give a precision"
-            f" of {trial.precision:.3g} of the torque"
+    names = joined([design.base.names[k] for k in undetermined])
+    possible = (
+        (
+            undetermined.size,
+            Finding(
+                "parameters_undetermined",
+                "warning",
+                f"{undetermined.size} parameters UNDETERMINED by this motion: {names}",
+                Cure(f"use more {design.size_name}, a longer motion or fewer drive terms"),
+            ),
+        ),
+        (
+            design.interrupted,
+            Finding(
+                "design_interrupted",
+                "warning",
+                f"INTERRUPTED: best of the {len(design.candidates)} searches until then",
+            ),
+        ),
+        (
+            design.assumed,
+            Finding(
+                "limits_assumed",
+                "warning",
+                f"the description lacks limits of {joined(design.assumed)} for some joints",
+                Cure("the usual ones were assumed; add the robot's own limits to the description"),
+            ),
+        ),
+        (
+            design.motion.parametrisation in JUMPING,
+            Finding(
+                "acceleration_jumps",
+                "info",
+                "the acceleration jumps; the jerk depends on the controller",
+            ),
+        ),
+    )
+    tried = [
+        Finding(
+            "duration_tried",
+            "info",
+            f"{trial.duration:g} s with {trial.size} {design.size_name}"
+            + ("" if trial.periods == 1 else f" in {trial.periods} periods")
+            + f" give a precision of {trial.precision:.3g} of the torque",
         )
-        found.append(Finding("duration_tried", "info", text))
-    return found
+        for trial in design.trials
+    ]
+    return [*(finding for holds, finding in possible if holds), *tried]
 
 
 def _of_poses(design: StaticDesign) -> list[Finding]:
-    found = []
-    if design.turns:
-        text = f"the route turns at {design.turns} further poses, without rest, to avoid obstacles"
-        found.append(Finding("route_turns", "info", text))
     # Difference in every joint below which poses are the same [rad or m].
-    if np.ptp(design.poses, axis=0).max() < 1e-6:
-        text = "the poses are all the same, because gravity acts alike in every pose of this robot"
-        found.append(Finding("poses_equal", "info", text))
-    return found
+    equal = np.ptp(design.poses, axis=0).max() < 1e-6
+    turns = f"the route turns at {design.turns} further poses, without rest, to avoid obstacles"
+    alike = "the poses are all the same, because gravity acts alike in every pose of this robot"
+    possible = (
+        (design.turns, Finding("route_turns", "info", turns)),
+        (equal, Finding("poses_equal", "info", alike)),
+    )
+    return [finding for holds, finding in possible if holds]

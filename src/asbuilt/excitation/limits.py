@@ -8,12 +8,12 @@ from itertools import product
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import Joint, RobotModel
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion, read_only
+from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion
 from asbuilt.findings import Cure
 
 TRIED = 100
@@ -167,14 +167,14 @@ class LimitReport:
     @property
     def worst(self) -> dict[str, LimitMargin | None]:
         """Smallest margin over the joints by quantity, None without a limit."""
-        found: dict[str, LimitMargin | None] = {}
-        for quantity in _UNITS:
-            found[quantity] = min(
+        return {
+            quantity: min(
                 (m for m in self.margins if m.quantity == quantity),
                 key=lambda m: m.margin,
                 default=None,
             )
-        return found
+            for quantity in _UNITS
+        }
 
     @property
     def worst_margin(self) -> dict[str, float | None]:
@@ -343,13 +343,11 @@ def _cure(violations: tuple[LimitMargin, ...]) -> str:
         for v in violations
         if v.quantity in orders
     ]
+    factor = np.ceil(100 * max(needed, default=0.0)) / 100
+    exceeded = {violation.quantity for violation in violations}
     cures = (
-        [f"slow the motion down: motion.slowed({np.ceil(100 * max(needed)) / 100:g})"]
-        if needed
-        else []
+        (needed, f"slow the motion down: motion.slowed({factor:g})"),
+        ("position" in exceeded, "choose poses or amplitudes within the position limits"),
+        ("torque" in exceeded, "move slower or choose poses with less gravity torque"),
     )
-    if any(v.quantity == "position" for v in violations):
-        cures.append("choose poses or amplitudes within the position limits")
-    if any(v.quantity == "torque" for v in violations):
-        cures.append("move slower or choose poses with less gravity torque")
-    return "; ".join(cures)
+    return "; ".join(cure for holds, cure in cures if holds)

@@ -1,11 +1,25 @@
-"""Constraints on the joint state at one instant."""
+"""Constraints on the joint state at one instant, such as the torque limit."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.regressor import RegressorPlan
+
+STANDING = 0.9
+"""Share of the allowed torque that a robot at rest may need; the rest accelerates it."""
+STEP = 1e-6
+"""Step of the central differences through described friction."""
 
 
 class StateConstraint(ABC):
@@ -41,3 +55,192 @@ def smallest_distance(constraints: Sequence[StateConstraint], q: Array) -> float
     """Return the smallest distance between bodies that any of the constraints checks [m]."""
     found = (constraint.smallest_distance(q) for constraint in constraints)
     return min((distance for distance in found if distance is not None), default=None)
+
+
+class TorqueLimit(StateConstraint):
+    """Keep `|tau| / limit` below 1 for every given description, drive values included."""
+
+    name = "torque"
+    two_sided = True
+
+    def __init__(self, models: Sequence[RobotModel], limit: Array) -> None:
+        self._model = models[0]
+        self._parameters = np.stack([model.parameters for model in models])
+        self._plan = RegressorPlan.of(self._model)
+        self._limit = limit
+        self._finite = np.flatnonzero(np.isfinite(limit))
+        self._drive, self._values = described_drive(self._model)
+        self._differ = any(term.differs_by_joint for term in self._drive.terms)
+
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque over its limit, (N, models x limited joints)."""
+        torque = self._rigid(q, qd, qdd)
+        if self._drive:
+            torque = torque + np.stack(
+                [self._friction(q, qd, qdd, load) for load in self._loads(torque)], axis=1
+            )
+        return (torque / self._limit)[:, :, self._finite].reshape(len(q), -1)
+
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values, (N, models x limited joints, n, 3).
+
+        Those of described friction are central differences.
+        """
+        slopes = torque_derivatives(self._model, q, qd, qdd, self._parameters)
+        if self._drive:
+            through = [
+                self._friction_slopes(q, qd, qdd, load)
+                for load in self._loads(self._rigid(q, qd, qdd))
+            ]
+            by_load = np.stack([slope[..., 3] for slope in through], axis=1)
+            slopes = (
+                slopes
+                + np.einsum("smkj,smjxo->smkxo", by_load, slopes)
+                + np.stack([slope[..., :3] for slope in through], axis=1)
+            )
+        limited: Array = slopes[:, :, self._finite] / self._limit[self._finite, None, None]
+        return limited.reshape(len(q), -1, *limited.shape[3:])
+
+    def _loads(self, torque: Array) -> list[Array]:
+        """Return the loads of the friction: one for every description, or one for all."""
+        return [
+            torque[:, place] for place in range(torque.shape[1] if self._drive.needs_load else 1)
+        ]
+
+    def _rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque of the rigid bodies of every description, (N, models, n)."""
+        if len(self._parameters) == 1:
+            return inverse_dynamics(self._model, q, qd, qdd, threads=1)[:, None]
+        rows = self._plan.evaluate(q, qd, qdd)
+        return np.stack(
+            [
+                row.T @ self._parameters[:, support].T
+                for row, support in zip(rows, self._plan.support, strict=True)
+            ],
+            axis=2,
+        )
+
+    def _friction_slopes(self, *state: Array) -> Array:
+        """Return the derivatives of friction k by q, qd, qdd and load of joint j, (N, k, j, 4)."""
+        n = state[0].shape[1]
+        coupled = bool(self._drive.of_motor.any())
+        ways = (
+            [(way, np.tile(way, (n, 1))) for way in np.eye(n)]
+            if coupled
+            else [(np.ones(n), np.eye(n))]
+        )
+        found = np.zeros((len(state[0]), n, n, len(state)))
+        for way, pattern in ways:
+            for order in range(len(state) if self._drive.needs_load else 3):
+                up, down = (
+                    [x + step * way if i == order else x for i, x in enumerate(state)]
+                    for step in (STEP, -STEP)
+                )
+                slope = (self._friction(*up) - self._friction(*down)) / (2 * STEP)
+                found[..., order] += slope[:, :, None] * pattern
+        return found
+
+    def _friction(self, q: Array, qd: Array, qdd: Array, load: Array) -> Array:
+        if not self._drive:
+            return np.zeros_like(q)
+        if self._drive.of_motor.any():
+            return self._exact_friction(q, qd, qdd, load)
+        # Width over which the sign in described friction is smoothed for derivatives [rad/s or
+        # m/s].
+        sign = np.tanh(qd / 0.02)
+        away = np.abs(qd) + 1e-12
+        ahead, behind = (
+            self._exact_friction(q, away, qdd, load),
+            self._exact_friction(q, -away, qdd, load),
+        )
+        mixed: Array = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
+        return mixed
+
+    def _exact_friction(self, *state: Array) -> Array:
+        """Return the drive torque (N, n), of all joints at once if only their values differ."""
+        if self._differ or self._drive.of_motor.any():
+            return drive_torque(
+                self._drive,
+                self._values,
+                *state[:3],
+                load=state[3],
+                shares=self._model.motor_shares,
+            )
+        q, qd, qdd, load = (np.ascontiguousarray(x).reshape(-1) for x in state)
+        columns = self._drive.evaluate(q, qd, qdd, load=load).reshape(-1, *state[0].shape)
+        friction: Array = np.einsum(
+            "csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1)
+        )
+        return friction
+
+
+class WeightLimit(TorqueLimit):
+    """Keep the torque at rest within the limit, so that the robot can move at any low speed."""
+
+    name = "weight"
+
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque at rest over its limit, (N, models x limited joints)."""
+        return super().values(q, np.zeros_like(q), np.zeros_like(q))
+
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values by q, (N, models x limited joints, n, 1)."""
+        return super().slopes(q, np.zeros_like(q), np.zeros_like(q))[..., :1]
+
+    def binds(self, poses: Array) -> bool:
+        """Return whether the robot is too heavy in any of the poses (N, n)."""
+        return bool(np.any(np.abs(self.values(poses, poses, poses)) >= 1))
+
+
+class PowerLimit(StateConstraint):
+    """Keep the mechanical power `|tau qd| / limit` of every joint below 1."""
+
+    name = "power"
+    two_sided = True
+
+    def __init__(self, model: RobotModel, limit: Array) -> None:
+        self._joint_names, self._limit = model.joint_names, limit
+        self._finite = np.flatnonzero(np.isfinite(limit))
+        self._torque = TorqueLimit((model,), limit)
+
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the power over its limit, (N, limited joints)."""
+        power: Array = self._torque.values(q, qd, qdd) * qd[:, self._finite]
+        return power
+
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values by the product rule, (N, limited joints, n, 3)."""
+        slopes = self._torque.slopes(q, qd, qdd) * qd[:, self._finite, None, None]
+        slopes[:, np.arange(self._finite.size), self._finite, 1] += self._torque.values(q, qd, qdd)
+        return slopes
+
+    def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
+        """State the largest power relative to its limit."""
+        used = np.abs(self.values(q, qd, qdd)).max(axis=0)
+        k = int(np.argmax(used))
+        joint, limit = self._finite[k], self._limit[self._finite[k]]
+        return (
+            f"power at most {used[k] * limit:.3g} W of the {limit:g} W allowed, by"
+            f" {self._joint_names[joint]}",
+        )
+
+
+def perturbed_models(
+    model: RobotModel, count: int, spread: float, rng: np.random.Generator
+) -> tuple[RobotModel, ...]:
+    """Return the model and `count` versions with random mass properties.
+
+    Masses, inertias and centres of mass are off by `spread` (standard deviation, as a fraction).
+    """
+    versions = [model]
+    for _ in range(count):
+        links = []
+        for link in model.links:
+            mass, inertia = np.exp(spread * rng.normal(size=2))
+            values = link.inertia.parameters.copy()
+            values[:6] *= inertia * mass
+            values[6:9] *= mass * (1 + spread * rng.normal(size=3))
+            values[9] *= mass
+            links.append(replace(link, inertia=LinkInertia(values), parts=()))
+        versions.append(replace(model, links=tuple(links)))
+    return tuple(versions)

@@ -2,9 +2,12 @@ from .logs.formats.log_format import FORMATS as FORMATS
 from .logs.formats.log_format import LogFormat as LogFormat
 from .logs.formats.log_format import LogTable as LogTable
 from .logs.long_recordings import RecordingStream as RecordingStream
+from .logs.long_recordings import head_of as head_of
 from .logs.options import ReadingOptions as ReadingOptions
+from .logs.readers import find_sheet as find_sheet
 from .logs.readers import read_recording as read_recording
 from .logs.readers import read_recordings as read_recordings
+from .logs.recordings import Recorded as Recorded
 from .logs.recordings import as_recordings as as_recordings
 from .logs.sheet import RecordingSheet as RecordingSheet
 from .logs.sheet import read_sheet as read_sheet
@@ -16,10 +19,10 @@ from .signal.preparation import prepare_samples as prepare_samples
 from .signal.preparation import resolve_chain as resolve_chain
 from .signal.samples import Samples as Samples
 from .signal.signal_chain import SignalChain as SignalChain
-from .virtual.data_logger import DataLogger as DataLogger
-from .virtual.free_motion import FreeMotion as FreeMotion
-from .virtual.free_motion import run_free as run_free
+from .virtual.sensors import DataLogger as DataLogger
 from .virtual.sensors import SensorNoise as SensorNoise
+from .virtual.simulation import FreeMotion as FreeMotion
+from .virtual.simulation import run_free as run_free
 from .virtual.simulation import simulate_recording as simulate_recording
 from .virtual.virtual_robot import SimulatedRecording as SimulatedRecording
 from .virtual.virtual_robot import VirtualRobot as VirtualRobot

@@ -48,7 +48,8 @@ def load_matches(model: RobotModel, q: Array, columns: list[Array], scale: float
     if load is None:
         return np.zeros(len(columns))
     heavy = np.ptp(load, axis=0) > RULES.heavy * max(float(np.ptp(load, axis=0).max()), 1e-9)
-    return np.array([_match(load[:, heavy], tau[::step][:, heavy]) for tau in columns])
+    found = [correlations(load[:, heavy], tau[::step][:, heavy]) for tau in columns]
+    return np.array([np.median(np.abs(each)) for each in found])
 
 
 def unit_by_gravity(model: RobotModel, q: Array, tau: Array) -> Literal["rad", "deg"] | None:
@@ -92,11 +93,11 @@ def _explained(model: RobotModel, q: Array, tau: Array, scale: float) -> float:
     return max(0.0, 1.0 - rest / power) if power > 0.0 else 0.0
 
 
-def _match(wanted: Array, found: Array) -> float:
-    """Return the median magnitude of the correlations of columns."""
-    sizes = []
-    for a, b in zip(wanted.T, found.T, strict=True):
+def correlations(one: Array, other: Array) -> list[float]:
+    """Return the correlations of columns (N, n) that both vary; a single 0 if none does."""
+    found = []
+    for a, b in zip(one.T, other.T, strict=True):
         ok = np.isfinite(a) & np.isfinite(b)
         if ok.sum() > 10 and np.std(a[ok]) > 0 and np.std(b[ok]) > 0:
-            sizes.append(abs(float(np.corrcoef(a[ok], b[ok])[0, 1])))
-    return float(np.median(sizes)) if sizes else 0.0
+            found.append(float(np.corrcoef(a[ok], b[ok])[0, 1]))
+    return found or [0.0]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.findings import Cure, joined
 
 TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
@@ -134,30 +134,34 @@ class Recording:
                 )
             object.__setattr__(self, name, array)
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
-        if len(names) != q.shape[1]:
-            raise RecordingError(
+        repeated = min((name for name in names if names.count(name) > 1), default=None)
+        n_gains = q.shape[1] if self.servo is None else len(self.servo.kp)
+        refuse(
+            RecordingError,
+            (
+                len(names) != q.shape[1],
                 f"{self.source}: {q.shape[1]} columns in q but {len(names)} joint names:"
                 f" {', '.join(names)}",
-                file=self.source,
-                value=len(names),
-                expected=q.shape[1],
-            )
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise RecordingError(
-                f"{self.source}: joint name {repeated[0]!r} is used {names.count(repeated[0])}"
+                {"file": self.source, "value": len(names), "expected": q.shape[1]},
+            ),
+            (
+                repeated is not None,
+                f"{self.source}: joint name {repeated!r} is used {names.count(str(repeated))}"
                 " times; each joint needs its own",
-                file=self.source,
-                value=repeated[0],
-            )
-        if self.torque_source not in TORQUE_SOURCES:
-            raise RecordingError(
+                {"file": self.source, "value": repeated},
+            ),
+            (
+                self.torque_source not in TORQUE_SOURCES,
                 f"{self.source}: torque_source {self.torque_source!r} is not one of"
                 f" {', '.join(TORQUE_SOURCES)}",
-                file=self.source,
-                value=self.torque_source,
-                available=TORQUE_SOURCES,
-            )
+                {"file": self.source, "value": self.torque_source, "available": TORQUE_SOURCES},
+            ),
+            (
+                n_gains != q.shape[1],
+                f"{self.source}: the servo has gains of {n_gains} joints, the log has {q.shape[1]}",
+                {"file": self.source, "value": n_gains, "expected": q.shape[1]},
+            ),
+        )
         extra = {name: _read_only(value, name, self.source) for name, value in self.extra.items()}
         for name, array in extra.items():
             if array.ndim not in (1, 2) or array.shape[0] != t.size:
@@ -166,14 +170,6 @@ class Recording:
                     file=self.source,
                     value=array.shape,
                 )
-        if self.servo is not None and len(self.servo.kp) != q.shape[1]:
-            raise RecordingError(
-                f"{self.source}: the servo has gains of {len(self.servo.kp)} joints, the log has"
-                f" {q.shape[1]}",
-                file=self.source,
-                value=len(self.servo.kp),
-                expected=q.shape[1],
-            )
         object.__setattr__(self, "joint_names", names)
         object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "extra", MappingProxyType(extra))
@@ -271,21 +267,25 @@ class Recording:
     def scaled(self, gain: ArrayLike) -> Recording:
         """Return the recording with torques times `gain`, one number or one per joint."""
         gains = np.atleast_1d(np.asarray(gain, dtype=np.float64))
-        if gains.ndim != 1 or gains.size not in (1, self.n_joints):
-            raise RecordingError(
+        refuse(
+            RecordingError,
+            (
+                gains.ndim != 1 or gains.size not in (1, self.n_joints),
                 f"{self.source}: {gains.size} gains for {self.n_joints} joints"
                 f" ({', '.join(self.joint_names)})",
-                cure=Cure("give one gain, or one per joint"),
-                file=self.source,
-                value=gains.size,
-                expected=self.n_joints,
-            )
-        if not np.all(np.isfinite(gains)) or np.any(gains == 0):
-            raise RecordingError(
+                {
+                    "cure": Cure("give one gain, or one per joint"),
+                    "file": self.source,
+                    "value": gains.size,
+                    "expected": self.n_joints,
+                },
+            ),
+            (
+                not np.all(np.isfinite(gains)) or np.any(gains == 0),
                 f"{self.source}: gains must be finite and not zero, got {gains.tolist()}",
-                file=self.source,
-                value=gains.tolist(),
-            )
+                {"file": self.source, "value": gains.tolist()},
+            ),
+        )
         listed = ", ".join(f"{g:g}" for g in gains)
         total = tuple(
             (gains * np.ones(self.n_joints) * (1.0 if self.gains is None else self.gains)).tolist()

@@ -15,16 +15,16 @@ from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.findings import Finding
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
+from asbuilt.identification.errors.bias import OmittedBias
+from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.delay_errors import DelayErrors, delay_errors
-from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
 from asbuilt.identification.errors.expected_scores import ExpectedScores
 from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearErrors,
     NonlinearPlace,
     nonlinear_errors,
 )
-from asbuilt.identification.errors.omitted_bias import OmittedBias
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     block_uncertainty,

@@ -3,6 +3,7 @@ from .contact import estimate_contact as estimate_contact
 from .events import Event as Event
 from .extremes import block_maxima as block_maxima
 from .extremes import tail_level as tail_level
+from .observed import ModelError as ModelError
 from .observed import Observed as Observed
 from .observer import Observer as Observer
 from .thresholds import Thresholds as Thresholds

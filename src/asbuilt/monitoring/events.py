@@ -134,16 +134,15 @@ def joined_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
         if found and event.start - found[-1].end <= apart:
             before = found.pop()
             names = dict.fromkeys((*before.joints, *event.joints))
-            larger = max((before, event), key=lambda each: float(_excess(each)))
+            larger = max(
+                (before, event),
+                key=lambda each: float(np.max(np.abs(each.residual) / each.threshold)),
+            )
             whole = replace(larger, start=before.start, end=event.end, joints=tuple(names))
             found.append(whole)
         else:
             found.append(event)
     return tuple(found)
-
-
-def _excess(event: Event) -> float:
-    return float(np.max(np.abs(event.residual) / event.threshold))
 
 
 def _event(

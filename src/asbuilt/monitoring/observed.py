@@ -1,12 +1,82 @@
-"""What an observer makes of a log."""
+"""What an observer makes of a log, and the error of the torque that its model predicts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.identification.result.result import IdentificationResult
+
+CHUNK = 2000
+"""Samples of a regressor that are held at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelError:
+    """Propagate the covariance of base parameters: `Y cov Y^T = (Y L) (Y L)^T`.
+
+    Parameters
+    ----------
+    model, drive, columns
+        The regressor: robot, drive terms and the columns of the base parameters.
+    factor
+        L (p, k) with `L L^T` the covariance; k = 0 where the parameters count as exact.
+    """
+
+    model: RobotModel
+    drive: DriveSet
+    columns: NDArray[Any]
+    factor: Array
+
+    @classmethod
+    def of(cls, robot: Any) -> ModelError:
+        """Return the error of an identified robot; that of a described one counts as 0."""
+        if not isinstance(robot, IdentificationResult):
+            empty = np.empty((0, 0))
+            return cls(getattr(robot, "model", robot), DriveSet(()), np.empty(0, int), empty)
+        values, vectors = np.linalg.eigh(robot.covariance)
+        # Share of the largest eigenvalue below which a direction of the covariance is rounding.
+        kept = values > 1e-12 * max(float(values[-1]), 0.0)
+        return cls(
+            robot.model,
+            robot.base.drive,
+            robot.base.columns,
+            np.ascontiguousarray(vectors[:, kept] * np.sqrt(values[kept])),
+        )
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is any covariance."""
+        return bool(self.factor.shape[1] > 0)
+
+    def std(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the standard deviation of the torque of each joint (N, n) at states (N, n)."""
+        out = np.zeros(q.shape)
+        for start in range(0, len(q) if self.is_known else 0, CHUNK):
+            part = slice(start, start + CHUNK)
+            spread = self._spread(q[part], qd[part], qdd[part])
+            out[part] = np.sqrt(np.einsum("sjk,sjk->sj", spread, spread))
+        return out
+
+    def covariance(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the covariance (n, n) of the torques of one state (n,)."""
+        if not self.is_known:
+            return np.zeros((q.size, q.size))
+        spread = self._spread(q[None], qd[None], qdd[None])[0]
+        return np.asarray(spread @ spread.T)
+
+    def _spread(self, q: Array, qd: Array, qdd: Array) -> Array:
+        rows = observation_matrix(
+            self.model, q, qd, qdd, drive=self.drive, columns=self.columns, threads=1
+        )
+        return np.asarray(rows @ self.factor).reshape(*q.shape, -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

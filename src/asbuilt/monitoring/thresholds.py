@@ -22,8 +22,7 @@ from asbuilt.monitoring.extremes import (
     largest,
     tail_level,
 )
-from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observed import ModelError, Observed
 
 
 @dataclass(frozen=True, slots=True)

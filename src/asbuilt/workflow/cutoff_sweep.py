@@ -19,7 +19,7 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import identify_samples
 from asbuilt.tables import MISSING, Column, Table, significant
-from asbuilt.validation.prediction import Validation, validate_samples
+from asbuilt.validation.prediction import validate_samples
 from asbuilt.validation.residuals import whiteness_in_band
 from asbuilt.workflow.prepare import divided
 
@@ -225,7 +225,9 @@ def sweep_cutoffs(
             np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0))
             for name in ("rms_recorded", "rms")
         )
-        whiteness, share = np.mean([_whiteness(item, cutoff) for item in judged], axis=(0, 2))
+        whiteness, share = np.mean(
+            [whiteness_in_band(each.t, each.error, cutoff) for each in judged], axis=(0, 2)
+        )
         found.append((cutoff, recorded, band, float(whiteness), float(share)))
     if not found:
         raise RecordingError(
@@ -254,10 +256,6 @@ def sweep_cutoffs(
     if chosen in (trials[0], trials[-1]) and len(trials) > 1:
         why += f" None {'lower' if chosen is trials[0] else 'higher'} was tried."
     return CutoffSweep(model.joint_names, trials, chosen.cutoff, why, rule)
-
-
-def _whiteness(judged: Validation, cutoff: float) -> tuple[Array, Array]:
-    return whiteness_in_band(judged.t, judged.error, cutoff)
 
 
 def _worth_trying(usual: float, highest: float) -> list[float]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out

@@ -12,11 +12,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import plain
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.excitation.information.efficiency import InformationEfficiency, information_efficiency
+from asbuilt.excitation.information.information import limited_model
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.state_bounds import limited_model
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples

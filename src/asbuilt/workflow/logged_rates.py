@@ -14,7 +14,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain

@@ -19,7 +19,7 @@ from asbuilt.identification.bodies.known_masses import (
     with_known_masses,
 )
 from asbuilt.identification.effects.wanted import EffectsWanted
-from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
+from asbuilt.identification.errors.block_scatter import ERROR_KINDS, ErrorKind
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.ranges import Range
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.position_servo import PER_JOINT, PositionServo, described_servo
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
-from asbuilt.experiment.command.slow_motion import moving_faster
+from asbuilt.experiment.command.usable_samples import moving_faster
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.signal.preparation import resolve_chain
@@ -23,8 +23,8 @@ from asbuilt.experiment.signal.prepared_motion import MotionFilters
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
-from asbuilt.identification.errors.between_recordings import recording_variances
 from asbuilt.identification.errors.delay_errors import DelayErrors
+from asbuilt.identification.errors.uncertainty import recording_variances
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.tables import rounded

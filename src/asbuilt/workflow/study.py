@@ -13,8 +13,8 @@ from asbuilt.arrays import Array
 from asbuilt.codec import plain, restored
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.executor import Workers
 from asbuilt.experiment.logs.options import ReadingOptions
@@ -35,7 +35,7 @@ from asbuilt.validation.comparison.comparison import Comparison, compare
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.joint_errors import joint_table
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
-from asbuilt.validation.verdicts.rules import OF_TORQUE
+from asbuilt.validation.verdicts.reasons import OF_TORQUE
 from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.validation.verdicts.verdict_error import decisive_rollout
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs

@@ -1,13 +1,19 @@
-"""Validation of a result on recordings, prepared as those that it was identified from."""
+"""Validation of a result on recordings, and review of a tuned description by them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import UsageError
+from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
@@ -19,14 +25,16 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.prediction import Validation, validate_description, validate_samples
+from asbuilt.validation.review.review import PLAUSIBLE, Review, review_result
 from asbuilt.validation.rollout.rollout import Rollout
 from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
 from asbuilt.validation.verdicts.verdict_error import with_exported
-from asbuilt.workflow.options import ValidationOptions
-from asbuilt.workflow.prepare import digest, prepare
+from asbuilt.workflow.options import AUTOMATIC, StudyOptions, ValidationOptions
+from asbuilt.workflow.prepare import Progress, digest, prepare
 from asbuilt.workflow.servo import has_open_servo, with_servo
-from asbuilt.workflow.study import Study
+from asbuilt.workflow.study import Study, identify
 
 
 def validate(
@@ -69,7 +77,11 @@ def validate(
     found = []
     for recording in as_recordings(result.model, recordings):
         samples = _prepared(result, recording, options)
-        fitted = as_validated(result, samples)
+        # Samples that were held out of the result are predicted with the values of its training.
+        held = result.holdout is not None and samples.source.endswith(
+            f", held out {result.holdout}"
+        )
+        fitted = result.of_training if held else result
         found.append(with_exported(fitted, validate_samples(fitted, samples, cad=cad), samples))
     return tuple(found)
 
@@ -159,7 +171,83 @@ def _prepared(
     return (prepared.held_out or prepared.training)[0]
 
 
-def as_validated(result: IdentificationResult, samples: Samples) -> IdentificationResult:
-    """Return the result with the values of its training fit, if the samples were held out of it."""
-    held = result.holdout is not None and samples.source.endswith(f", held out {result.holdout}")
-    return result.of_training if held else result
+def review(
+    robot: RobotModel | str | Path,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    *,
+    tolerance: CadTolerance = PLAUSIBLE,
+    options: StudyOptions | None = None,
+    progress: Progress | None = None,
+) -> Review:
+    """Judge every number that a description claims by recordings.
+
+    Each number is estimated by weighted least squares with nothing that pulls it to its claim;
+    drive parameters beside it are free, and masses, centres and inertias are free within
+    `tolerance`. It is contradicted if the difference is significant, supported if the standard
+    error is at most half of it, else undetermined.
+
+    Parameters
+    ----------
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    recordings
+        One recording or several, as for `identify`.
+    tolerance
+        What is plausible for masses, centres and inertias while another number is judged.
+    options
+        How to identify; None: the defaults.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Returns
+    -------
+    Review
+        A verdict on every number, contradicted ones first.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording, or filters leave nothing of it.
+    IdentifiabilityError
+        If the recordings are too short.
+    UsageError
+        If no recording is given or an option has no meaning for a review.
+
+    Examples
+    --------
+    >>> from asbuilt import load_robot, review, simulate_recording
+    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> model = load_robot("two-link")
+    >>> log = simulate_recording(model, random_fourier(model, rng=1, duration=20.0), rng=1)
+    >>> review(model, log).count("contradicted")
+    0
+    """
+    options = options or StudyOptions()
+    if options.rollout or options.refine:
+        raise UsageError(
+            "a review judges numbers by torques; rollouts and refinement go with an identification"
+        )
+    if options.method == "auto":
+        options = replace(options, method="wls")
+    if options.holdout == AUTOMATIC:
+        options = replace(options, holdout=None)
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model, (logged,) = fitted_recordings(model, (recordings,))
+    study = identify(model, logged, options=options, progress=progress)
+    result = study.result
+    unlimited = result.servo is not None and not np.any(np.isfinite(result.servo.torque_limit))
+    return review_result(
+        result,
+        peaks=None if result.servo is None else _peaks(logged, result.servo),
+        motions=study.training if unlimited else (),
+        tolerance=tolerance,
+        findings=study.findings,
+    )
+
+
+def _peaks(recordings: Sequence[Recorded], servo: PositionServo) -> Array:
+    """Return the largest torque (n,) that the servo of each joint was asked for."""
+    free = replace(servo, torque_limit=())
+    heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
+    asked = [driven_by_command(head, free).tau for head in heads if head.command is not None]
+    return np.asarray(np.max([np.abs(tau).max(axis=0) for tau in asked], axis=0))

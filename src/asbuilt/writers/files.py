@@ -6,15 +6,31 @@ import base64
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from asbuilt.writing import atomic_write, check_writable, file_set
 
-__all__ = ["atomic_write", "check_writable", "data_address", "file_lines", "file_set", "path_texts"]
+__all__ = [
+    "atomic_write",
+    "check_writable",
+    "data_address",
+    "file_lines",
+    "file_set",
+    "path_texts",
+    "with_files",
+]
 
 
 def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, str]:
     """Return the paths of files by kind as text, for documents."""
     return {kind: os.fspath(path) for kind, path in (files or {}).items()}
+
+
+def with_files(
+    document: Mapping[str, Any], files: Mapping[str, str | os.PathLike[str]]
+) -> dict[str, Any]:
+    """Return a JSON document with the paths of what was written."""
+    return {**document, "files": path_texts(files)}
 
 
 def data_address(content: bytes, kind: str) -> str:

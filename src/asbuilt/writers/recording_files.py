@@ -13,14 +13,13 @@ import numpy as np
 import polars as pl
 import tomli_w
 
+from asbuilt import writers
 from asbuilt.arrays import Array
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.free_motion import FreeMotion
-from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording
+from asbuilt.experiment import FreeMotion, Recording, SimulatedRecording
 from asbuilt.tables import significant, wrapped
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.models.robot_toml import write_robot_toml
@@ -89,12 +88,21 @@ def write_simulation(
     The sheet is LOG.toml, the parameters are JSON, the robot is TOML.
     """
     log = write_recording(path, simulated.recording)
-    sheet = atomic_write(
-        log.with_name(f"{log.name}.toml"), _sheet_text(simulated.recording, log.name)
-    )
-    truth = write_json(log.with_name(f"{log.stem}_truth.json"), truth_document(simulated))
-    robot = write_robot_toml(log.with_name(f"{log.stem}_robot.toml"), robot_that_moved(simulated))
-    return {"recording": log, "sheet": sheet, "truth": truth, "robot": robot}
+    truth = {
+        "robot": simulated.model.name,
+        "drive": str(simulated.drive),
+        "gravity": simulated.model.gravity.tolist(),
+        "parameters": dict(zip(simulated.names, simulated.truth.tolist(), strict=True)),
+        "notes": list(simulated.recording.notes),
+        "settings": dict(simulated.settings),
+    }
+    sheet, robot = _sheet_text(simulated.recording, log.name), robot_that_moved(simulated)
+    return {
+        "recording": log,
+        "sheet": atomic_write(log.with_name(f"{log.name}.toml"), sheet),
+        "truth": write_json(log.with_name(f"{log.stem}_truth.json"), truth),
+        "robot": write_robot_toml(log.with_name(f"{log.stem}_robot.toml"), robot),
+    }
 
 
 def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
@@ -103,18 +111,10 @@ def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
     values = simulated.truth[len(model.parameters) :].reshape(model.n_joints, -1)
     keys = [term.key for term in drive.terms for _ in term.symbols]
     joints = []
-    for joint, own in zip(model.joints, values, strict=True):
-        plain = {
-            key: float(value) for key, value in zip(keys, own, strict=True) if key in PLAIN_TERMS
-        }
-        joints.append(
-            replace(
-                joint,
-                drive=DriveValues(
-                    **plain, gear_ratio=joint.drive.gear_ratio, terms=joint.drive.terms
-                ),
-            )
-        )
+    for joint, own in zip(model.joints, values.tolist(), strict=True):
+        plain = {key: value for key, value in zip(keys, own, strict=True) if key in PLAIN_TERMS}
+        known = DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=joint.drive.terms)
+        joints.append(replace(joint, drive=known))
     return replace(model, joints=tuple(joints))
 
 
@@ -128,33 +128,19 @@ def _sheet_text(recording: Recording, log: str) -> str:
     sheet: dict[str, Any] = {"torque_source": recording.torque_source}
     servo = recording.servo if recording.torque_source == "command" else None
     if servo is not None:
-        sheet |= {"kp": _short(servo.kp), "kd": _short(servo.kd)}
-        if np.all(np.isfinite(servo.torque_limit)):
-            sheet["torque_limit"] = _short(servo.torque_limit)
-        if np.any(servo.deadband):
-            sheet["deadband"] = _short(servo.deadband)
-        if np.any(servo.leads):
-            sheet["lead"] = _short(servo.lead)
-        if np.all(np.isfinite(servo.no_load_speed)):
-            sheet["no_load_speed"] = _short(servo.no_load_speed)
+        known = {
+            "kp": True,
+            "kd": True,
+            "torque_limit": np.all(np.isfinite(servo.torque_limit)),
+            "deadband": np.any(servo.deadband),
+            "lead": np.any(servo.leads),
+            "no_load_speed": np.all(np.isfinite(servo.no_load_speed)),
+        }
+        for name in (name for name, is_known in known.items() if is_known):
+            values = getattr(servo, name)
+            # One number where all are alike.
+            sheet[name] = values[0] if len(set(values)) == 1 else list(values)
     return head + tomli_w.dumps(sheet)
-
-
-def _short(values: tuple[float, ...]) -> float | list[float]:
-    """Return one number where all are alike."""
-    return values[0] if len(set(values)) == 1 else list(values)
-
-
-def truth_document(simulated: SimulatedRecording) -> dict[str, Any]:
-    """Return the true standard parameters by name, and how the recording was made."""
-    return {
-        "robot": simulated.model.name,
-        "drive": str(simulated.drive),
-        "gravity": simulated.model.gravity.tolist(),
-        "parameters": dict(zip(simulated.names, simulated.truth.tolist(), strict=True)),
-        "notes": list(simulated.recording.notes),
-        "settings": dict(simulated.settings),
-    }
 
 
 def simulation_text(simulated: SimulatedRecording) -> str:
@@ -195,7 +181,10 @@ def write_motion(
     so in the file. Raises MotionError if names and joints do not go together, UsageError if the
     place is not writable.
     """
-    trajectory = motion if isinstance(motion, Trajectory) else _sampled_to_end(motion, rate)
+    trajectory = motion
+    if not isinstance(trajectory, Trajectory):
+        t = times_to_end(trajectory, rate)
+        trajectory = Trajectory(t, *trajectory.at(t))
     names = tuple(joint_names)
     if len(names) != trajectory.n_joints or len(set(names)) != len(names):
         raise MotionError(
@@ -207,25 +196,19 @@ def write_motion(
     return write_columns(path, trajectory.t, names, dict(zip(prefixes, states, strict=True)))
 
 
-def _sampled_to_end(motion: Motion, rate: float) -> Trajectory:
-    t = times_to_end(motion, rate)
-    return Trajectory(t, *motion.at(t))
-
-
 def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
     """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG."""
-    from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
-    from asbuilt.writers.figures.recording_figures import energy_figure  # noqa: PLC0415 - light start
-
     states = {"q": motion.q, "qd": motion.qd, "tau": motion.tau}
     energies = {
         name: getattr(motion, name) for name in ("kinetic", "potential", "work", "dissipated")
     }
     table = write_columns(path, motion.t, motion.model.joint_names, states, energies)
-    title = f"{motion.model.name}: {WHAT[motion.release]}"
     return {
         "motion": table,
-        "figure": save_figure(energy_figure(motion, title=title), table.with_suffix(".png")),
+        "figure": writers.save_figure(
+            writers.energy_figure(motion, title=f"{motion.model.name}: {WHAT[motion.release]}"),
+            table.with_suffix(".png"),
+        ),
     }
 
 

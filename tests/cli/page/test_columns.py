@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asbuilt.cli.page.sheet import write_sheet
+from asbuilt.cli.page.columns import write_sheet
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.readers import read_recording
 from command_line import call, document

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description.cad.meshes import MATERIALS, MeshPart, link_from_meshes, with_cad_links
-from asbuilt.description.cad.table import read_cad_table
-from asbuilt.description.cad.units import unit_factor
+from asbuilt.description.cad.table import read_cad_table, unit_factor
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.rotation import placement

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.description.formats.dh import DHRow, robot_from_dh
-from asbuilt.description.formats.dh_table import read_dh_table
+from asbuilt.description.formats.dh import DHRow, read_dh_table, robot_from_dh
 from asbuilt.description.lengths import length_values
 from asbuilt.description.model import ROOT
 from asbuilt.description.rotation import placement, rotation_x, rotation_z

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.description.formats.expansion.expressions import BUILTINS, MATH, evaluate
+from asbuilt.description.formats.expansion import BUILTINS, MATH, evaluate
 from asbuilt.description.load import load_robot
 from asbuilt.errors import DescriptionError
 from asbuilt.isolation import isolated_command
@@ -157,7 +157,7 @@ def test_what_the_evaluator_would_overlook_meets_the_audit_hook(tmp_path: Path) 
     target = tmp_path / "touched"
     path = spoilt(tmp_path / "in", f"<a v=\"${{open({str(target)!r}, 'w')}}\"/>")
     program = (
-        "import asbuilt.description.formats.expansion.expander as e;"
+        "import asbuilt.description.formats.expansion as e;"
         " e.evaluate = lambda text, names, functions: {0};"
         f" e.expand({str(path)!r}, 10**7, trusted=False)"
     )
@@ -187,7 +187,11 @@ def test_trusted_files_are_expanded_by_xacro_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "start", [["-m", "asbuilt"], ["-P", "-c", "from asbuilt.cli import run; run()"]]
+    "start",
+    [
+        ["-m", "asbuilt"],
+        pytest.param(["-P", "-c", "from asbuilt.cli import run; run()"], marks=pytest.mark.study),
+    ],
 )
 def test_modules_beside_a_robot_are_not_run(start: list[str], tmp_path: Path) -> None:
     pytest.importorskip("xacro")

@@ -17,8 +17,8 @@ from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import placement, rotation_x
-from asbuilt.dynamics.base.axis_frames import same_build
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.base.symbols import same_build
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError

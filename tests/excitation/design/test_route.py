@@ -44,11 +44,13 @@ def test_the_way_turns_over_a_wall_and_rests_at_every_pose_once() -> None:
     stations = np.random.default_rng(0).uniform(-1, 1, (200, 2))
     wall = Wall(0.5)
     kept = stations[wall.values(stations, stations, stations)[:, 0] < 1]
-    travel = route_through(POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.5)
-    q, qd, qdd = travel.motion.at(travel.motion.sample_times(500.0))
+    poses, motion, turns = route_through(
+        POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.5
+    )
+    q, qd, qdd = motion.at(motion.sample_times(500.0))
     assert np.all(wall.values(q, qd, qdd) < 1)
-    assert travel.turns > 0
-    assert sorted(travel.poses.tolist()) == sorted(POSES.tolist())
+    assert turns > 0
+    assert sorted(poses.tolist()) == sorted(POSES.tolist())
     for pose in POSES:
         assert np.abs(q - pose).max(axis=1).min() < 1e-3
     standing = np.abs(qd).max(axis=1) < 1e-9
@@ -58,7 +60,7 @@ def test_the_way_turns_over_a_wall_and_rests_at_every_pose_once() -> None:
 
 def test_a_free_way_has_no_turns_and_one_that_is_closed_is_refused() -> None:
     stations = np.random.default_rng(0).uniform(-1, 1, (200, 2))
-    assert route_through(POSES, None, PLANE, [], [], 0.0).turns == 0
+    assert route_through(POSES, None, PLANE, [], [], 0.0)[2] == 0
     wall = Wall(2.0)
     kept = stations[wall.values(stations, stations, stations)[:, 0] < 1]
     with pytest.raises(MotionError, match="no route without collision was found from"):

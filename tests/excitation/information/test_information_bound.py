@@ -9,11 +9,10 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.information.information import Information, mean_information
+from asbuilt.excitation.information.information import Information, mean_information, random_states
 from asbuilt.excitation.information.information_bound import information_bound
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.excitation.state_bounds import random_states
 
 
 @pytest.fixture(scope="module")

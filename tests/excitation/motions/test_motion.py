@@ -7,11 +7,10 @@ import pytest
 
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.bspline import BSplineMotion
-from asbuilt.excitation.motions.concatenated import Concatenated
 from asbuilt.excitation.motions.fourier import FourierMotion
 from asbuilt.excitation.motions.motion import BasisMotion, Motion, Trajectory
 from asbuilt.excitation.motions.motion_csv import SampledMotion
-from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
+from asbuilt.excitation.motions.piecewise import Concatenated, PiecewisePolynomial
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.spline import SplineMotion

@@ -15,10 +15,8 @@ from asbuilt.description.load import load_robot
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.pacing import paced_moves
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.state_constraint import StateConstraint
-from asbuilt.excitation.torque_limit import WeightLimit
+from asbuilt.excitation.motions.point_to_point import PointToPointMotion, paced_moves
+from asbuilt.excitation.state_constraint import StateConstraint, WeightLimit
 
 PLANE = MotionBounds(*(np.array([value, value]) for value in (-1.0, 1.0, 1.0, 4.0, np.inf, np.inf)))
 POSES = np.array([[-0.8, 0.0], [0.8, 0.0], [0.8, 0.9], [-0.8, 0.9]])

@@ -7,9 +7,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.experiment.command.saturation import outside_saturation, saturated
 from asbuilt.experiment.command.servo_torque import command_rate, driven_by_command, held_command
-from asbuilt.experiment.command.slow_motion import direction_speeds
+from asbuilt.experiment.command.usable_samples import (
+    direction_speeds,
+    outside_saturation,
+    saturated,
+)
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.mcap.messages import read_mcap
+from asbuilt.experiment.logs.formats.mcap import read_mcap
 from asbuilt.experiment.logs.readers import read_recording
 
 pytest.importorskip("mcap")

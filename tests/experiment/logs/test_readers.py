@@ -14,9 +14,9 @@ from scipy.io import savemat
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
 from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.logs.long_recordings import stream_recording
 from asbuilt.experiment.logs.readers import read_recording, read_recordings
 from asbuilt.experiment.logs.sheet import RecordingSheet
-from asbuilt.experiment.logs.streaming import stream_recording
 from asbuilt.experiment.recording import Recording
 
 UR10E_GAINS = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]

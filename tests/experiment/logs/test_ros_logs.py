@@ -18,8 +18,8 @@ from asbuilt.experiment.logs.formats.ros.messages import (
     CONTROLLER_STATE,
     DYNAMIC_STATE,
     TRAJECTORY,
+    chosen_topics,
 )
-from asbuilt.experiment.logs.formats.ros.topics import chosen_topics
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.sheet import RecordingSheet
 

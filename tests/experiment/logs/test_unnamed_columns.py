@@ -14,8 +14,8 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError
 from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.logs.long_recordings import stream_recording
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.logs.streaming import stream_recording
 from asbuilt.experiment.recording import Recording
 
 MODEL = bundled_robot("ur10e")

@@ -52,7 +52,7 @@ def finding(model: RobotModel, recording: Recording, code: str):
 
 
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "franka-panda", "puma-560"])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.study)])
 def test_no_false_alarm(name: str, seed: int) -> None:
     model = bundled_robot(name)
     check = check_recording(model, record(model, seed))
@@ -145,7 +145,7 @@ def test_the_cure_of_one_flipped_joint_corrects_all(
     assert not {"torque_flipped", "joint_torque_flipped"} & set(cured.codes)
 
 
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", [0, 2, 6])
 def test_friction_decides_the_sign_of_joints_without_load(shared: Path, joint: int) -> None:
     lwr = load_robot(shared / "models" / "kuka_lwr4.urdf")
     recording = read_recording(shared / "data" / "kuka_lwr4" / "measurements_1.npz", model=lwr)

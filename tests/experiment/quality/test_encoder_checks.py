@@ -10,7 +10,7 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.coupling_checks import encoder_lag
+from asbuilt.experiment.quality.position_checks import encoder_lag
 
 KR300 = {
     "torque_source": "motor",

@@ -19,7 +19,7 @@ from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.first_pass import first_pass
+from asbuilt.experiment.quality.passes import first_pass
 from asbuilt.experiment.recording import Recording
 from asbuilt.workflow.information_efficiency import recorded_information
 from command_line import document

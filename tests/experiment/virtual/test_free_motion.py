@@ -17,7 +17,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, Joint, Link, RobotModel
 from asbuilt.dynamics.newton_euler import forward_dynamics
 from asbuilt.errors import InertiaError, UsageError
-from asbuilt.experiment.virtual.free_motion import heaviest_pose, run_free
+from asbuilt.experiment.virtual.simulation import heaviest_pose, run_free
 
 
 def with_drives(model: RobotModel, **values: float) -> RobotModel:

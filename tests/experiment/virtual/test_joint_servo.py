@@ -15,7 +15,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.joint_servo import JointServo
+from asbuilt.experiment.virtual.drive_train import JointServo
 from asbuilt.experiment.virtual.settings import with_settings
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows

@@ -15,7 +15,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.bodies import perturbed_links
+from asbuilt.experiment.virtual.presets import perturbed_links
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot

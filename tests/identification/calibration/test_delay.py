@@ -15,8 +15,12 @@ from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import simulate_recording
-from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
-from asbuilt.identification.calibration.delay_evidence import predicts_better, relief_of_delays
+from asbuilt.identification.calibration.delay import (
+    DelayEstimate,
+    find_delays,
+    predicts_better,
+    relief_of_delays,
+)
 from asbuilt.identification.errors.delay_errors import delay_errors
 from asbuilt.identification.identify import fit_samples
 from asbuilt.workflow.delays import settle_delays

@@ -196,6 +196,7 @@ def studies():
     return [identify(MODEL, each) for each in (replace(recording, extra={}), recording)]
 
 
+@pytest.mark.study
 def test_two_encoders_make_a_better_model_of_an_elastic_arm(studies):
     alone, both = studies
     errors = [study.result.validation[0].relative_error_per_joint for study in studies]
@@ -210,6 +211,7 @@ def test_two_encoders_make_a_better_model_of_an_elastic_arm(studies):
         assert pair.stiffness[0] == pytest.approx(own, rel=0.05)
 
 
+@pytest.mark.study
 def test_screen_stored_result_and_report_have_the_encoders(studies):
     both = studies[1]
     assert "Two encoders: j1 lag" in str(both.summary())
@@ -257,6 +259,7 @@ def test_the_rigid_model_fails_at_the_stated_share_of_the_torque():
     assert amplification - 1.0 == pytest.approx(OFF / (1.0 - OFF), rel=1e-9)
 
 
+@pytest.mark.study
 def test_encoders_of_a_kr300_are_three_milliseconds_apart(shared: Path) -> None:
     model = load_robot(str(shared / "models/kuka_kr300.toml"))
     sheet = {

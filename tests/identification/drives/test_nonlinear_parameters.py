@@ -15,9 +15,8 @@ from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues, JointLimits
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import drive_torque
+from asbuilt.dynamics.drives.torque import drive_torque, usual_drive
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, IdentifiabilityError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier

@@ -16,8 +16,7 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.effects.search import find_effects
-from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.errors.error_basis import ErrorKind
+from asbuilt.identification.errors.block_scatter import ErrorKind, widening
 from asbuilt.identification.identify import Fit, fit_samples, identify_samples
 from asbuilt.validation.comparison.equal_terms import Between, ComparedValues
 from asbuilt.workflow.options import StudyOptions

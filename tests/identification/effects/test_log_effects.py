@@ -84,7 +84,8 @@ def drifting(joint: int, by: float) -> Fault:
 
 
 @pytest.mark.parametrize(
-    "name", ["ur10e", pytest.param("franka-panda", marks=pytest.mark.study), "scara"]
+    "name",
+    [*(pytest.param(name, marks=pytest.mark.study) for name in ("ur10e", "franka-panda")), "scara"],
 )
 def test_a_right_log_has_no_errors(name: str) -> None:
     assert found(name) == ()
@@ -202,7 +203,10 @@ def test_friction_at_constant_speed_is_no_saturation() -> None:
     assert plateaus(model, DRIVE, [samples]) == ()
 
 
-@pytest.mark.parametrize(("name", "unseen"), [("ur10e", False), ("scara", True)])
+@pytest.mark.parametrize(
+    ("name", "unseen"),
+    [pytest.param("ur10e", False, marks=pytest.mark.study), ("scara", True)],
+)
 def test_a_log_that_shows_no_error_of_the_clock_says_so(name: str, unseen: bool) -> None:
     found = findings(name, logged(bundled_robot(name)))
     assert {code for code in found if not code.endswith("_unseen")} == set()

@@ -135,6 +135,7 @@ def test_terms_that_only_a_description_states_are_not_sought() -> None:
     assert kinds["load_friction"] == "load"
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("angle", [-2.0])
 def test_a_tilt_has_the_sign_of_the_world_and_turns_gravity_back(trial, angle) -> None:
     """A base turned by +3 deg about x reads +3 deg.

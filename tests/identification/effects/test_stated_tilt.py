@@ -41,7 +41,14 @@ def found_in(case, samples):
     return find_effects(case.model, DRIVE, samples, stated={"tilt"}, keys={"tilt"})
 
 
-@pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e", "puma-560"])
+@pytest.mark.parametrize(
+    "robot",
+    [
+        "ur10e",
+        pytest.param("kuka-iiwa7-r800", marks=pytest.mark.study),
+        pytest.param("puma-560", marks=pytest.mark.study),
+    ],
+)
 def test_tilt_of_a_simulated_robot_is_found_within_its_error(trial, robot):
     case = trial(robot, "viscous,coulomb,offset", seed=12, duration=24.0, rate=50.0)
     samples, gravity = standing(case, [0.03, -0.02, 0.0])

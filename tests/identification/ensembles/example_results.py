@@ -9,7 +9,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.virtual.bodies import perturbed_links
+from asbuilt.experiment.virtual.presets import perturbed_links
 from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.identification.servo.servo_errors import ServoErrors

@@ -12,8 +12,13 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.executor import open_workers
 from asbuilt.identification.bodies.cad_prior import cad_prior
-from asbuilt.identification.ensembles.consistent_draws import AT_ONCE, FAITHFUL, consistent_draws
-from asbuilt.identification.ensembles.ensemble import Ensemble, draw_ensemble
+from asbuilt.identification.ensembles.ensemble import (
+    AT_ONCE,
+    FAITHFUL,
+    Ensemble,
+    consistent_draws,
+    draw_ensemble,
+)
 from asbuilt.identification.errors.block_scatter import BlockScatter, mean_degrees, widening
 from asbuilt.identification.result.result import IdentificationResult
 

@@ -17,9 +17,8 @@ from tests.identification.errors.test_common_growth import (
 )
 
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.errors.between_recordings import recording_variances
 from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.errors.uncertainty import block_uncertainty, recording_variances
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,

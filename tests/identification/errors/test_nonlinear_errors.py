@@ -20,7 +20,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.drives.drive_choice import settle_drive
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
-from asbuilt.identification.errors.error_basis import ErrorKind
+from asbuilt.identification.errors.block_scatter import ErrorKind
 from asbuilt.identification.errors.nonlinear_errors import nonlinear_errors
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.identify import carrying, identify_samples

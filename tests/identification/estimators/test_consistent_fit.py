@@ -24,11 +24,18 @@ from asbuilt.identification.bodies.body_bounds import body_bounds
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
 from asbuilt.identification.errors.uncertainty import block_uncertainty
-from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.identification.estimators.consistent_fit import (
+    QUIETEST,
+    fit_consistent,
+    fit_toward_cad,
+    quietest_noise,
+    supported_belief,
+)
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.estimators.prior_weight import DEFAULT_WEIGHT
 from asbuilt.identification.identify import identify_samples
+from asbuilt.identification.information.estimate import noise_floor
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.identification.information.square_root_information import accumulate
@@ -114,6 +121,62 @@ def test_errors_are_those_of_the_dense_posterior(trial, method):
     np.testing.assert_allclose(estimate.covariance, dense, atol=1e-6 * np.diag(dense).max())
 
 
+@pytest.mark.parametrize("weight", [0.2, 3.0])
+def test_the_belief_in_cad_is_what_the_distance_from_it_supports(trial, weight):
+    """Determined parameters over twice the divergence, both from dense matrices.
+
+    `10 n - w tr(H^-1 M)` parameters are determined, with w M the information of CAD in H; the
+    divergence is `tr(P0^-1 P) - log det(P0^-1 P) - 4`.
+    """
+    case = trial("scara", noise=0.05, seed=8, spread=0.2)
+    prior, K, n = case.prior, case.base.regrouping, case.model.n_joints
+    estimate = fit_toward_cad(case.information, prior, weight=weight)
+    R = case.information.stacked(estimate.weights)[:-1, :-1] @ K
+    M = np.zeros((len(prior.parameters),) * 2)
+    away = 0.0
+    for i in range(n):
+        own = slice(10 * i, 10 * i + 10)
+        cad, found = (LinkInertia(each[own]) for each in (prior.parameters, estimate.standard))
+        middle = 0.5 * (prior.parameters[own] + estimate.standard[own])
+        inverse = np.linalg.inv(LinkInertia(middle).pseudo_inertia)
+        moves = [inverse @ LinkInertia(unit).pseudo_inertia for unit in np.eye(10)]
+        M[own, own] = [[np.trace(one @ other) for one in moves] for other in moves]
+        M[own, own] *= prior.strength[i]
+        ratio = np.linalg.solve(cad.pseudo_inertia, found.pseudo_inertia)
+        away += prior.strength[i] * (np.trace(ratio) - np.log(np.linalg.det(ratio)) - 4.0)
+    H = R.T @ R + weight * M
+    drives = np.arange(10 * n, len(H))
+    H[drives, drives] += prior.drive_weight / prior.drive_scale**2
+    scale = 1.0 / np.sqrt(np.diag(H))
+    inverse = np.outer(scale, scale) * np.linalg.inv(np.outer(scale, scale) * H)
+    expected = (10 * n - weight * np.trace(inverse @ M)) / (2.0 * away)
+    found = supported_belief(case.information, prior, estimate.weights, estimate.standard, weight)
+    assert found == pytest.approx(expected, rel=1e-6)
+    assert estimate.belief == pytest.approx(min(weight, expected), rel=1e-6)
+    assert f"Standard errors use CAD with weight {estimate.belief:.3g}" in estimate.notes
+
+
+def test_the_quietest_noise_is_a_share_of_the_torque(trial):
+    """Whatever the unit of torque; the floor at a joint of no torque, none without a sensor."""
+    case = trial("scara", noise=0.05, seed=8)
+    n = case.information.n_samples
+    for size in (1.0, 1e-4):
+        tau = size * case.samples.tau * [1.0, 1.0, 0.0, 1.0]
+        information = accumulate(
+            case.model, case.base, replace(case.samples, tau=tau, tau_raw=np.zeros(0))
+        )
+        rms = np.sqrt(np.sum(tau**2, axis=0) / n)
+        noise = quietest_noise(information)
+        np.testing.assert_allclose(noise[[0, 1, 3]], QUIETEST * rms[[0, 1, 3]], rtol=1e-9)
+        assert noise[2] == noise_floor(information) > 0.0
+    gone = replace(
+        information,
+        factors=(*information.factors[:3], np.zeros_like(information.factors[3])),
+        torque_sum=information.torque_sum.copy(),
+    )
+    assert quietest_noise(gone)[3] == np.inf
+
+
 def test_parameters_that_nothing_determines_are_refused_if_asked(trial):
     case = trial("scara", noise=0.05, seed=8)
     still = replace(case.samples, qd=0.0 * case.samples.qd, qdd=0.0 * case.samples.qdd)
@@ -129,6 +192,7 @@ def test_the_weight_follows_how_far_cad_is_off(trial):
     wrong = trial("kuka-iiwa7-r800", noise=0.002, seed=5, spread=0.4)
     near, far = (fit_toward_cad(case.information, case.prior) for case in (exact, wrong))
     assert near.prior_weight >= 100.0 * far.prior_weight
+    assert near.belief == 25.0, "CAD is accurate to a fifth at best"
     assert near.notes[0].startswith(f"weight of CAD {near.prior_weight:g}: the largest")
     few = exact.information.select([0, 1])
     assert fit_toward_cad(few, exact.prior).prior_weight == DEFAULT_WEIGHT
@@ -150,6 +214,8 @@ def test_given_weight_bounds_and_joint_weights(trial):
         assert estimate.notes[0] == "weight of CAD 50"
         assert 2.0 - 1e-6 <= estimate.standard[59] <= 3.0 + 1e-6
         np.testing.assert_array_equal(estimate.weights, 2.0)
+    text = fit_consistent(case.information, case.prior, bounds=heavy).notes[0]
+    assert text.endswith("active of 2 bounds: m6 >= 2 kg")
     with pytest.raises(UsageError, match="entropic, euclidean"):
         fit_toward_cad(case.information, case.prior, metric="manhattan")
 

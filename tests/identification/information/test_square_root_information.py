@@ -27,9 +27,10 @@ from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.columns_beside import ColumnsBeside
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.factor_solution import solve_factor
-from asbuilt.identification.information.rows import Rows, sample_blocks
+from asbuilt.identification.information.rows import Rows, TimeBlock, sample_blocks
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
+    SquareRootInformation,
     accumulate,
     accumulate_stream,
     reduce_rows,
@@ -253,7 +254,58 @@ def test_residual_energy_and_stack_follow_their_definition(robot):
     assert np.allclose(information.residual_energy(beta), energies, rtol=1e-11)
     total = information.stacked(weights) @ np.append(-beta, 1.0)
     assert total @ total == pytest.approx(weights**2 @ energies, rel=1e-11)
+    alike = information.stacked() @ np.append(-beta, 1.0)
+    assert alike @ alike == pytest.approx(energies.sum(), rel=1e-11)
+    parts = [
+        information.block_stacked(b, weights) @ np.append(-beta, 1.0)
+        for b in range(information.n_blocks)
+    ]
+    assert sum(part @ part for part in parts) == pytest.approx(weights**2 @ energies, rel=1e-11)
     assert np.allclose(information.torque_sum.sum(axis=0), samples.tau.sum(axis=0))
+
+
+def test_counts_and_times_are_those_of_the_recordings(robot):
+    model, base = robot
+    samples = recording(model, 600)
+    later = replace(recording(model, 300, seed=2, source="field"), t=samples.t[:300] + 40.0)
+    information = accumulate_stream(model, base, (samples, later), block_seconds=0.3)
+    assert information.n_blocks == 30, "short blocks stay apart"
+    assert information.sources == ("bench", "field")
+    assert (information.n_samples, information.n_rows) == (900, 900 * 7)
+    times = [(block.start, block.stop) for block in information.blocks]
+    assert information.duration == pytest.approx(np.diff(times).sum())
+    assert 8.5 < information.duration <= 9.0
+    one = information.together()
+    assert one.n_blocks == 1
+    assert (one.blocks[0].start, one.blocks[0].stop) == (0.0, pytest.approx(42.99))
+    assert one.n_samples == 900
+    np.testing.assert_allclose(one.torque_sum[0], information.torque_sum.sum(axis=0))
+    assert_same_gram(one.stacked(), information.stacked())
+    still = replace(
+        information,
+        factors=(*information.factors[:-1], np.zeros_like(information.factors[-1])),
+        torque_sum=information.torque_sum.copy(),
+    )
+    assert still.has_torque.tolist() == [True] * 6 + [False]
+    assert still.n_rows == 900 * 6
+
+
+def test_rows_are_mixed_where_each_has_a_part_of_all_joints(robot):
+    model, base = robot
+    assert not accumulate(model, base, recording(model, 100)).mixed, "a tree"
+    rng = np.random.default_rng(5)
+    every = np.arange(base.n_base)
+    for n, mixed in ((2, True), (1, False)):
+        shape = (1, base.n_base + 1, base.n_base + 1)
+        information = SquareRootInformation(
+            base,
+            model.joint_names[:n],
+            (every,) * n,
+            tuple(np.triu(rng.normal(size=shape)) for _ in range(n)),
+            np.zeros((1, n)),
+            (TimeBlock("bench", 0.0, 1.0, 100),),
+        )
+        assert information.mixed is mixed
 
 
 def test_merged_blocks_are_those_of_their_time(robot, monkeypatch):

@@ -77,8 +77,12 @@ def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
 @pytest.mark.parametrize(
     ("drive", "said"),
     [
-        ("viscous,offset", "only January has coulomb. "),
-        ("viscous,coulomb,load_friction,offset", "only July has load_friction. "),
+        pytest.param("viscous,offset", "only January has coulomb. ", marks=pytest.mark.study),
+        pytest.param(
+            "viscous,coulomb,load_friction,offset",
+            "only July has load_friction. ",
+            marks=pytest.mark.study,
+        ),
         (
             "viscous,smooth_coulomb:width=0.3,offset",
             "only January has coulomb; only July has smooth_coulomb. ",
@@ -105,6 +109,7 @@ def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, sai
     assert not any("DIFFERENT" in line for line in compare_results(after, after).sentences)
 
 
+@pytest.mark.study
 def test_other_shapes_of_a_term_are_said() -> None:
     one, two = (
         identified(ARM, "f", drive=f"viscous,coulomb,stribeck:velocity={velocity},offset")

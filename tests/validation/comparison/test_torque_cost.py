@@ -17,7 +17,7 @@ from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
-from asbuilt.validation.comparison.torque_cost import torque_cost
+from asbuilt.validation.comparison.torque_change import torque_cost
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.writers.figures.comparison_figures import difference_figure
 

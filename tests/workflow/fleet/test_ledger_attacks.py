@@ -21,8 +21,8 @@ import pytest
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
 from asbuilt.workflow.fleet.identification import fleet_identify
 from asbuilt.workflow.fleet.ledger.entry import EntryName, content_digest
-from asbuilt.workflow.fleet.ledger.identities import checked_id, identity_in
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
+from asbuilt.workflow.fleet.ledger.store import checked_id, identity_in
 from asbuilt.workflow.fleet.options import FleetOptions
 from asbuilt.workflow.fleet.overview import fleet_overview
 from asbuilt.workflow.fleet.reduction.add import Addition, add_logs, id_from

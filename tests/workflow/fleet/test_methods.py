@@ -27,7 +27,10 @@ METHODS = sorted(name for name in methods if methods[name].needs == "information
 ON_LARGER = ("consistent", "wls")
 """Methods that are tried on every robot; the others read the ledger as these do."""
 CASES = [
-    *((ROBOTS[0], method) for method in METHODS),
+    *(
+        pytest.param(ROBOTS[0], method, marks=[] if method in ON_LARGER else pytest.mark.study)
+        for method in METHODS
+    ),
     *(pytest.param(ROBOTS[1], method, marks=pytest.mark.study) for method in ON_LARGER),
 ]
 

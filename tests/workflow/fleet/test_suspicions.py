@@ -14,7 +14,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.square_root_information import accumulate
-from asbuilt.workflow.fleet.suspicions import JUMP, misfit
+from asbuilt.workflow.fleet.overview import JUMP, misfit
 from fleet_logs import MODEL
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from asbuilt.errors import UsageError
 from asbuilt.validation.prediction import validate_samples
 from asbuilt.writers.figures.figure_style import save_figure
-from asbuilt.writers.figures.torque_figure import torque_figure
+from asbuilt.writers.figures.study_figures import torque_figure
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_unknown_suffix_is_refused(figures: dict[str, Figure], tmp_path: Path) -
 
 def test_no_global_figure_is_made() -> None:
     code = (
-        "import sys, asbuilt.writers.figures.torque_figure;"
+        "import sys, asbuilt.writers.figures.study_figures;"
         " assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

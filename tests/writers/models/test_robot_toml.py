@@ -13,7 +13,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.writers.models.as_built import as_built_model
+from asbuilt.writers.models.as_built import as_built
 from asbuilt.writers.models.robot_toml import robot_toml, write_robot_toml
 
 
@@ -79,7 +79,7 @@ def test_identified_robot_predicts_what_was_identified(
     example: Any = request.getfixturevalue(which)
     samples = example.held_out
     result = replace(example.result, covariance=1e-20 * example.result.covariance)
-    robot = load_robot(write_robot_toml(tmp_path / "robot.toml", as_built_model(result)))
+    robot = load_robot(write_robot_toml(tmp_path / "robot.toml", as_built(result).model))
     drive = result.base.drive
     chi = parameter_values(robot, drive)
     assert not np.any(np.isnan(chi))
@@ -95,7 +95,7 @@ def test_design_values_give_the_design_back(example: Any) -> None:
     known = tuple(
         replace(p, estimate=0.0 if np.isnan(p.cad) else p.cad) for p in example.result.parameters
     )
-    robot = as_built_model(
+    robot = as_built(
         replace(example.result, parameters=known, covariance=1e-20 * example.result.covariance)
-    )
+    ).model
     np.testing.assert_allclose(robot.parameters, example.model.parameters, atol=1e-8)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from asbuilt.arrays import Array
-from asbuilt.writers.reports.sections.rollout import CUT, _joint
+from asbuilt.writers.reports.sections.prediction import CUT, _joint
 
 
 def heights(pieces: list[str]) -> Array:

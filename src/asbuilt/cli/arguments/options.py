@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from filecmp import cmp
@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import asbuilt
+from asbuilt import writers
 from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 from asbuilt.ranges import Range, out_of_range
+from asbuilt.writing import check_replaceable, check_writable
 
 if TYPE_CHECKING:
     from asbuilt.executor import Workers
     from asbuilt.experiment.logs.long_recordings import RecordingStream
-
 
 POSITIVE = Range(1e-9, 1e9)
 """Positive numbers of options: frequencies, durations, masses."""
@@ -60,8 +61,6 @@ def writable_folder(folder: Path | None) -> Path | None:
 
     Raises `UsageError` before any work is done otherwise.
     """
-    from asbuilt.writers.files import check_writable
-
     if folder is not None:
         check_writable(folder)
     return folder
@@ -72,8 +71,6 @@ def writable_file(file: Path | None) -> Path | None:
 
     Raises `UsageError` before any work is done otherwise.
     """
-    from asbuilt.writing import check_replaceable
-
     if file is not None:
         writable_folder(file.parent)
         check_replaceable(file)
@@ -255,10 +252,11 @@ class Filtering:
     def chain(self) -> asbuilt.SignalChain:
         """Return the named signal chain, with the cutoff and decimation given."""
         chain = asbuilt.SignalChain.preset(self.preset)
-        cutoff = chain.cutoff if self.cutoff is None else positive_number("--cutoff", self.cutoff)
         return replace(
             chain,
-            cutoff=cutoff,
+            cutoff=chain.cutoff
+            if self.cutoff is None
+            else positive_number("--cutoff", self.cutoff),
             decimate=chain.decimate if self.decimate is None else self.decimate,
             max_gap=chain.max_gap
             if self.max_gap is None
@@ -270,10 +268,8 @@ class Filtering:
 def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
     """Return a delay as a signal chain takes it; raises `UsageError` on anything else."""
     word = text.strip().lower()
-    if word == "auto":
-        return "auto"
-    if word == "none":
-        return None
+    if word in ("auto", "none"):
+        return "auto" if word == "auto" else None
     try:
         values = number_list("--delay", text)
     except UsageError:
@@ -303,9 +299,8 @@ def robot_as_built(robot: str, *, fixed_base: bool = False) -> asbuilt.RobotMode
     if Path(robot).suffix.lower() != ".json":
         return described_robot(robot, fixed_base=fixed_base)
     refuse_idle("the robot of a result is taken as it was identified", {"--fixed-base": fixed_base})
-    from asbuilt.writers.models.as_built import as_built_model
 
-    return as_built_model(asbuilt.read_result(Path(robot)))
+    return writers.as_built(asbuilt.read_result(Path(robot))).model
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
@@ -400,3 +395,35 @@ def positive_number(option: str, text: str) -> float:
     if not POSITIVE.holds(value):
         raise UsageError(f"{option} takes a number {POSITIVE}, got {text[:60]!r}")
     return value
+
+
+@dataclass(frozen=True)
+class TimelineFiles:
+    """The files in which a viewer shows measured and predicted torques over time."""
+
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            "--mcap",
+            metavar="FILE",
+            help="measured and predicted torques and events, for Foxglove and PlotJuggler",
+            callback=writable_file,
+        ),
+    ] = None
+    rrd: Annotated[
+        Path | None,
+        typer.Option(
+            "--rrd",
+            metavar="FILE",
+            help="the same with the moving robot, for rerun",
+            callback=writable_file,
+        ),
+    ] = None
+
+    def write(self, timelines: Callable[[], Sequence[writers.Timeline]]) -> dict[str, Path]:
+        """Write the files that are asked for, and return their paths by kind."""
+        if self.mcap is None and self.rrd is None:
+            return {}  # what writes them takes long to import
+        kinds = {"mcap": (self.mcap, writers.write_mcap), "rrd": (self.rrd, writers.write_rrd)}
+        made = timelines()
+        return {kind: write(path, made) for kind, (path, write) in kinds.items() if path}

@@ -85,14 +85,21 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
     options given, so that the class alone owns its defaults. `run(common, call)` calls the command.
     """
     hints = get_type_hints(command, include_extras=True)
-    groups = {name: hint for name, hint in hints.items() if _is_group(hint)}
+    groups = {
+        name: hint for name, hint in hints.items() if isinstance(hint, type) and is_dataclass(hint)
+    }
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
         if name in groups:
             parameters += _parameters(groups[name])
         else:
             parameters.append(_keyword(name, hints[name], parameter.default))
-    reads_robot = any("ROBOT" in _metavar(hint) for hint in hints.values())
+    # What the help calls the value of an argument names a robot.
+    reads_robot = any(
+        "ROBOT" in str(getattr(option, "metavar", ""))
+        for hint in hints.values()
+        for option in getattr(hint, "__metadata__", ())
+    )
     parameters += [p for p in _parameters(Common) if p.name != "trust_xacro" or reads_robot]
 
     @functools.wraps(command)
@@ -117,16 +124,6 @@ def given_options(group: Any) -> dict[str, bool]:
         option_name(field.name): getattr(group, field.name) != field.default
         for field in _shown(type(group))
     }
-
-
-def _metavar(hint: Any) -> str:
-    """Return what the help calls the value of a parameter."""
-    options = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
-    return str(getattr(options[0], "metavar", "")) if options else ""
-
-
-def _is_group(hint: Any) -> bool:
-    return isinstance(hint, type) and is_dataclass(hint)
 
 
 def _shown(group: type[Any]) -> Iterator[Field[Any]]:

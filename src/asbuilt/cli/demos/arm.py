@@ -28,18 +28,21 @@ from asbuilt import (
     write_study,
 )
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.design.multistart import SearchProgress
-from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation import Motion, SearchProgress
 from asbuilt.experiment import DataLogger, SimulatedRecording, VirtualRobot
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
-from asbuilt.tables import Column, Table, share, significant, stacked, wrapped
-from asbuilt.validation import Attribution, Recovery, Validation, attribute, compare_with_truth
-from asbuilt.writers.files import path_texts
-from asbuilt.writers.models.export import Export, export_result
-from asbuilt.writers.recording_files import simulate_document, write_simulation
-from asbuilt.writers.reports.motion_report import write_motion_report
-from asbuilt.writers.tables.design_tables import design_document
-from asbuilt.writers.tables.tabular import identify_document
+from asbuilt.tables import Column, Table, share, significant, wrapped
+from asbuilt.validation import Attribution, Recovery, attribute, compare_with_truth
+from asbuilt.writers import (
+    Export,
+    design_document,
+    export_result,
+    identify_document,
+    path_texts,
+    simulate_document,
+    write_motion_report,
+    write_simulation,
+)
 
 Progress = Callable[[str, float], None]
 
@@ -181,8 +184,22 @@ def demo_text(story: Demo) -> str:
     """Return the screen with which the demonstration ends."""
     result, design, held = story.study.result, story.design, story.study.validations[0]
     consistent = "physically consistent" if result.physically_consistent else "NOT CONSISTENT"
-    cad, built = held.metrics_cad, held.metrics_as_built
-    causes = story.causes
+    cad, built, causes = held.metrics_cad, held.metrics_as_built, story.causes
+    rows = (("CAD", *cad.rms.tolist()), ("as built", *built.rms.tolist()))
+    units = zip(held.joint_names, held.units, strict=True)
+    columns = (
+        Column("RMS error"),
+        *(Column(name, unit, "decimal", ".3f") for name, unit in units),
+    )
+    truth, recovery = [], story.recovery
+    if recovery is not None:
+        count = len(recovery.names)
+        text = (
+            f"{round(recovery.within(2.0) * count)} of {count} parameters within 2 standard errors;"
+            f" torque without noise: CAD {share(recovery.cad_error)} off, as built"
+            f" {share(recovery.torque_error, 2)}"
+        )
+        truth = [_line("truth", text)]
     # Joints whose error the text explains; the report has all.
     worst = [int(k) for k in np.argsort(-causes.rms_cad)[:3]]
     lines = [
@@ -207,9 +224,9 @@ def demo_text(story: Demo) -> str:
             f"on another motion: torque error CAD {share(cad.relative_error)}, as built"
             f" {share(built.relative_error)}",
         ),
-        *_recovery_lines(story.recovery),
+        *truth,
         "",
-        stacked([_error_table(held)]),
+        Table(columns, rows).as_text(),
         f"Causes of the error of CAD, at the {len(worst)} joints where it is largest:",
         *(wrapped(causes.sentences[k], "  ", lines=2) for k in worst),
         "",
@@ -218,36 +235,6 @@ def demo_text(story: Demo) -> str:
         _line("report", f"{story.files['report']} (open it first)"),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _error_table(held: Validation) -> Table:
-    """Return the RMS torque errors, a row for CAD and one for the identified robot."""
-    rows = (
-        ("CAD", *held.metrics_cad.rms.tolist()),
-        ("as built", *held.metrics_as_built.rms.tolist()),
-    )
-    columns = (
-        Column("RMS error"),
-        *(
-            Column(name, unit, "decimal", ".3f")
-            for name, unit in zip(held.joint_names, held.units, strict=True)
-        ),
-    )
-    return Table(columns, rows)
-
-
-def _recovery_lines(recovery: Recovery | None) -> list[str]:
-    if recovery is None:
-        return []
-    count = len(recovery.names)
-    return [
-        _line(
-            "truth",
-            f"{round(recovery.within(2.0) * count)} of {count} parameters within 2 standard errors;"
-            f" torque without noise: CAD {share(recovery.cad_error)} off, as built"
-            f" {share(recovery.torque_error, 2)}",
-        )
-    ]
 
 
 def _line(label: str, text: str) -> str:

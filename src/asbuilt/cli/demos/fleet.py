@@ -131,32 +131,27 @@ def _name(k: int) -> str:
 
 def fleet_demo_text(demo: FleetDemo) -> str:
     """Return the screen with which the demonstration ends."""
-    heads = (
-        Column("robot"),
-        Column("logs"),
-        Column("torque error", "%"),
-        Column("of CAD", "%"),
-        Column("change", "chi2 / p"),
-    )
-    rows = tuple(
-        (
-            name,
-            len(result.sources),
-            f"{100.0 * result.train.relative_error:.2f}",
-            f"{100.0 * result.cad.relative_error:.1f}",
-            f"{_change(demo.changes[name]):.1f}",
-        )
-        for name, result in demo.results.items()
+    results = demo.results
+    columns = (
+        Column("robot", of=str),
+        Column("logs", of=lambda name: len(results[name].sources)),
+        Column(
+            "torque error",
+            "%",
+            of=lambda name: f"{100.0 * results[name].train.relative_error:.2f}",
+        ),
+        Column("of CAD", "%", of=lambda name: f"{100.0 * results[name].cad.relative_error:.1f}"),
+        Column("change", "chi2 / p", of=lambda name: f"{_change(demo.changes[name]):.1f}"),
     )
     worst = max(demo.changes, key=lambda name: _change(demo.changes[name]))
     lines = [
         wrapped(
-            f"{len(rows)} virtual {ROBOT} over {DAYS} days, {len(demo.addition.added)} logs of"
+            f"{len(results)} virtual {ROBOT} over {DAYS} days, {len(demo.addition.added)} logs of"
             f" {SECONDS:g} s reduced to a ledger. From day {SINCE} on, {_name(CHANGED)} carries"
             f" {TOOL.mass:g} kg that no description has."
         ),
         "",
-        Table(heads, rows).as_text(),
+        Table.of(results, columns).as_text(),
         wrapped(
             f"{worst} changed most: between the first {SINCE - 1} days and the rest chi-square is"
             f" {_change(demo.changes[worst]):.0f} per parameter, of noise alone 1."

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
 
-from asbuilt.cli.hayat2015.figures import all_figures
+from asbuilt import LinkInertia, RobotModel
+from asbuilt.arrays import Array
 from asbuilt.cli.hayat2015.reproduction import Reproduction
 from asbuilt.cli.hayat2015.tables import (
     agreement_sentence,
@@ -18,8 +21,11 @@ from asbuilt.cli.hayat2015.tables import (
     highlighted_sentence,
     table_3,
 )
+from asbuilt.description.formats.dh import DHRow, robot_from_dh
+from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.tables import stacked, wrapped
-from asbuilt.writers.figures.figure_style import save_figure
+from asbuilt.writers.figures.figure_style import blank_figure, headline, save_figure, styled
+from asbuilt.writers.figures.study_figures import torque_figure
 from asbuilt.writers.files import atomic_write, data_address, path_texts
 from asbuilt.writers.reports.page import Block, image_markup, list_markup, page, table_markup
 
@@ -83,8 +89,13 @@ def reproduction_html(redone: Reproduction) -> str:
         for heading, names in zip(("CAD", "Robot"), ORDER, strict=True)
     )
     verdict = Block("verdict", "Verdict", (list_markup(sentences(redone)),))
-    title = "The 2015 paper, reproduced"
-    return page("The 2015 paper", "reproduced", [verdict, *blocks], title=title, subtitle=SOURCE)
+    return page(
+        "The 2015 paper",
+        "reproduced",
+        [verdict, *blocks],
+        title="The 2015 paper, reproduced",
+        subtitle=SOURCE,
+    )
 
 
 def _png_address(figure: Figure) -> str:
@@ -147,3 +158,109 @@ def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> di
         },
         "files": path_texts(files),
     }
+
+
+SHOWN = slice(0, 4)
+"""Joints of Figures 3 and 4."""
+
+BENT = (0.3, 0.7, 0.0, -1.3, 0.0, 0.9, 0.0)
+"""Pose of Figure 2 [rad]."""
+
+QUIET = "#5F656D"
+
+AXES = ("#D55E00", "#009E73", "#0072B2")
+"""Colours of the x, y and z axis of a frame."""
+
+
+def all_figures(redone: Reproduction) -> dict[str, Figure]:
+    """Return every figure by the name of its file."""
+    simulated, measured = redone.simulated_torque, redone.rigid_validation
+    names = redone.model.joint_names[SHOWN]
+
+    def torques(t: Array, torque: Array, predicted: Array, label: str, title: str) -> Figure:
+        return torque_figure(
+            t, torque[:, SHOWN], predicted[:, SHOWN], joint_names=names, title=title, label=label
+        )
+
+    return {
+        "figure1": frame_figure(
+            two_link_arm(), [0.5, 0.9], "Figure 1. Frames, d to the centres of mass and r from them"
+        ),
+        "figure2": frame_figure(
+            redone.model, BENT, "Figure 2. Kinematic model: frames and centres of mass"
+        ),
+        "figure3_simulated": torques(
+            simulated.t,
+            simulated.simulated,
+            simulated.from_cad,
+            "CAD",
+            "Figure 3 as its text says: simulated torque, predicted from CAD",
+        ),
+        "figure3": torques(
+            measured.t,
+            measured.measured,
+            measured.predicted_cad,
+            "CAD",
+            "Figure 3 as its caption says: virtual robot, predicted from CAD",
+        ),
+        "figure4": torques(
+            measured.t,
+            measured.measured,
+            measured.predicted,
+            "identified",
+            "Figure 4: virtual robot, predicted as identified",
+        ),
+    }
+
+
+def two_link_arm() -> RobotModel:
+    """Return a spatial arm of two links for Figure 1."""
+    upper = LinkInertia.from_com(2.0, [-0.12, 0.05, 0.06], 0.02 * np.eye(3))
+    fore = LinkInertia.from_com(1.0, [-0.2, 0.06, 0.05], 0.01 * np.eye(3))
+    rows = [DHRow(a=0.3, b=0.4, alpha=np.pi / 2, inertia=upper), DHRow(a=0.4, inertia=fore)]
+    return robot_from_dh(rows, name="spatial two-link arm")
+
+
+def frame_figure(model: RobotModel, q: Sequence[float], title: str) -> Figure:
+    """Draw link frames (x red, y green, z blue) and centres of mass of a robot in a pose."""
+    poses = [np.eye(4), *link_poses(model, np.asarray(q))]
+    origins = np.array([pose[:3, 3] for pose in poses])
+    size = float(np.ptp(origins, axis=0).max())
+    with styled():
+        figure = blank_figure(5.6, 5.2)
+        axes = figure.add_subplot(projection="3d")
+        assert isinstance(axes, Axes3D)
+        axes.plot(*origins.T, color="#8A8F98", linewidth=5, solid_capstyle="round", alpha=0.6)
+        for pose in poses:
+            for axis, colour in enumerate(AXES):
+                arrow = 0.14 * size * pose[:3, axis]
+                axes.quiver(*pose[:3, 3], *arrow, color=colour, linewidth=1.3)
+        for place, names in _frame_names(origins).items():
+            axes.text(*place, f"{names}   ", fontsize=8, ha="right", va="top")
+        for k, (link, pose) in enumerate(zip(model.links, poses[1:], strict=True), start=1):
+            centre = (pose @ np.append(link.inertia.com, 1.0))[:3]
+            for start, stop, name in ((origins[k - 1], centre, "d"), (centre, origins[k], "r")):
+                axes.plot(*np.stack([start, stop]).T, color=QUIET, linewidth=0.8, linestyle=":")
+                if model.n_joints == 2:
+                    axes.text(*((start + stop) / 2), f"{name}{k}", fontsize=8, color=QUIET)
+            axes.scatter(*centre, color="#E07B20", s=12 * link.inertia.mass, depthshade=False)
+            axes.text(*centre, f"   C{k}", fontsize=8, color="#A4540B")
+        middle = (origins.min(axis=0) + origins.max(axis=0)) / 2
+        for set_limits, centre in zip(
+            (axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True
+        ):
+            set_limits(centre - 0.55 * size, centre + 0.55 * size)
+        axes.set_box_aspect((1, 1, 1), zoom=1.35)
+        axes.view_init(elev=16, azim=-62)
+        axes.set_axis_off()
+        headline(figure, title)
+    return figure
+
+
+def _frame_names(origins: Array) -> dict[tuple[float, ...], str]:
+    """Return the names of the frames at each place."""
+    names: dict[tuple[float, ...], str] = {}
+    for k, origin in enumerate(origins):
+        place = tuple(np.round(origin, 6).tolist())
+        names[place] = f"{names[place]}, O{k}" if place in names else f"O{k}"
+    return names

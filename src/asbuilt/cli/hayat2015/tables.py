@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.cli.hayat2015.reproduction import ReproducedParameter, Reproduction
-from asbuilt.tables import Cell, Column, Shown, Table, share
+from asbuilt.tables import Cell, Column, Table, share
 
 INERTIA = (("Ixx", 0, 0), ("Iyy", 1, 1), ("Izz", 2, 2), ("Ixy", 0, 1), ("Iyz", 1, 2), ("Izx", 0, 2))
 
@@ -14,18 +14,16 @@ def table_1(redone: Reproduction) -> Table:
     """Return Table 1: kinematic parameters and mass properties of every link."""
     rows: list[tuple[Cell, ...]] = []
     for k, (joint, link) in enumerate(zip(redone.model.joints, redone.model.links, strict=True)):
-        alpha = float(np.rad2deg(np.arctan2(joint.after[2, 1], joint.after[2, 2])))
-        offset = redone.model.lengths.get(f"b{k + 1}", 0.0)
-        tensor = link.inertia.inertia_about_com
+        inertia = link.inertia
         rows.append(
             (
                 k + 1,
-                offset,
+                redone.model.lengths.get(f"b{k + 1}", 0.0),
                 0.0,
-                alpha,
-                link.inertia.mass,
-                *link.inertia.com.tolist(),
-                *(float(tensor[i, j]) for _, i, j in INERTIA),
+                float(np.rad2deg(np.arctan2(joint.after[2, 1], joint.after[2, 2]))),
+                inertia.mass,
+                *inertia.com.tolist(),
+                *(float(inertia.inertia_about_com[i, j]) for _, i, j in INERTIA),
             )
         )
     columns = (
@@ -47,57 +45,38 @@ def table_1(redone: Reproduction) -> Table:
 
 def table_2(redone: Reproduction) -> Table:
     """Return Table 2: expressions, CAD values and estimates of all base parameters."""
-    rows = tuple(
-        (
-            k,
-            row.id,
-            row.ours,
-            "yes" if row.same_expression else "NO",
-            row.cad_printed,
-            row.cad_ours,
-            "yes" if row.same_value else "NO",
-            row.simulated,
-            row.robot,
-            row.virtual_robot,
-        )
-        for k, row in enumerate(redone.parameters, start=1)
-    )
     columns = (
-        Column("row", align="right"),
-        Column("id", align="right"),
-        Column("base parameter", width=40),
-        Column("same", detail=True),
-        Column("CAD, paper", align="decimal", style=".9f", detail=True),
-        Column("CAD, ours", align="decimal", style=".6f"),
-        Column("same", detail=True),
-        Column("simulated", align="decimal", style=".9f", detail=True),
-        Column("robot, paper", align="decimal", style=".9f", detail=True),
-        Column("virtual robot", align="decimal", style=".6f", detail=True),
+        Column("row", align="right", of=lambda row: redone.parameters.index(row) + 1),
+        Column("id", align="right", of="id"),
+        Column("base parameter", width=40, of="ours"),
+        Column("same", detail=True, of=lambda row: "yes" if row.same_expression else "NO"),
+        Column("CAD, paper", align="decimal", style=".9f", detail=True, of="cad_printed"),
+        Column("CAD, ours", align="decimal", style=".6f", of="cad_ours"),
+        Column("same", detail=True, of=lambda row: "yes" if row.same_value else "NO"),
+        Column("simulated", align="decimal", style=".9f", detail=True, of="simulated"),
+        Column("robot, paper", align="decimal", style=".9f", detail=True, of="robot"),
+        Column("virtual robot", align="decimal", style=".6f", detail=True, of="virtual_robot"),
     )
-    notes = (*_agreement(redone), consistency_sentence(redone))
-    return Table(
+    rows = list(enumerate(redone.parameters, start=1))
+    misprints = [str(k) for k, row in rows if row.printed != row.corrected]
+    # Difference of a CAD value [SI] from which it is mentioned.
+    rounded = [str(k) for k, row in rows if abs(row.cad_ours - row.cad_printed) > 5e-7]
+    return Table.of(
+        redone.parameters,
         columns,
-        rows,
         "Table 2. Base parameters (SI)",
-        notes=notes,
+        notes=(
+            f"{agreement_sentence(redone)} The paper misprints the expressions of rows"
+            f" {' and '.join(misprints)}.",
+            f"Rows {', '.join(rounded)} differ by at most {redone.largest_difference:.1e}, which"
+            " the rounding of Table 1 allows.",
+            consistency_sentence(redone),
+        ),
         details=(
             "'simulated': quintic motion, noise-free torque, least squares (section 3.1).",
             "'virtual robot': the method of the paper on the recording behind Table 3.",
         ),
         important=redone.paper.highlighted,
-    )
-
-
-def _agreement(redone: Reproduction) -> tuple[str, str]:
-    rows = list(enumerate(redone.parameters, start=1))
-    misprints = [str(k) for k, row in rows if row.printed != row.corrected]
-    # Difference of a CAD value [SI] from which it is mentioned.
-    rounded = [str(k) for k, row in rows if abs(row.cad_ours - row.cad_printed) > 5e-7]
-    return (
-        f"{agreement_sentence(redone)} The paper misprints the expressions of rows"
-        f" {' and '.join(misprints)}.",
-        f"Rows {', '.join(rounded)} differ by at most {redone.largest_difference:.1e}, which the"
-        " rounding of Table 1 allows.",
     )
 
 
@@ -122,29 +101,24 @@ def consistency_sentence(redone: Reproduction) -> str:
 
 def highlighted_table(redone: Reproduction) -> Table:
     """Return the gray rows of Table 2: the difference of the robot from CAD, relative to CAD."""
-    gray = redone.paper.highlighted
-    rows = []
-    for k in gray:
-        row = redone.parameters[k]
-        parts = [_difference(row, value) for value in (row.robot, row.virtual_robot)]
-        shown = [Shown(part, share(part)) for part in parts]
-        rows.append(
-            (k + 1, row.ours, row.cad_ours, row.robot, shown[0], row.virtual_robot, shown[1])
-        )
+    parameters = redone.parameters
     columns = (
-        Column("row", align="right"),
-        Column("base parameter", width=24),
-        Column("CAD", align="decimal", style=".3f"),
-        Column("robot", align="decimal", style=".3f"),
-        Column("difference", align="decimal"),
-        Column("virtual", align="decimal", style=".3f"),
-        Column("difference", align="decimal"),
+        Column("row", align="right", of=lambda row: parameters.index(row) + 1),
+        Column("base parameter", width=24, of="ours"),
+        Column("CAD", align="decimal", style=".3f", of="cad_ours"),
+        Column("robot", align="decimal", style=".3f", of="robot"),
+        Column("difference", "", "decimal", share, of=lambda row: _difference(row, row.robot)),
+        Column("virtual", align="decimal", style=".3f", of="virtual_robot"),
+        Column(
+            "difference", "", "decimal", share, of=lambda row: _difference(row, row.virtual_robot)
+        ),
     )
     note = (
         "The text of the paper does not list its gray rows; these have CAD values above 1."
         f" {highlighted_sentence(redone)}"
     )
-    return Table(columns, tuple(rows), "Gray rows of Table 2", notes=(note,))
+    gray = [parameters[k] for k in redone.paper.highlighted]
+    return Table.of(gray, columns, "Gray rows of Table 2", notes=(note,))
 
 
 def highlighted_sentence(redone: Reproduction) -> str:
@@ -203,8 +177,13 @@ def table_3(redone: Reproduction) -> Table:
         f" {redone.paper.samples}). 'identified': Butterworth of order 2 at 7 Hz both ways, central"
         " differences, decimation by 10, least squares."
     )
-    title = "Table 3. RMS torque error on the test motion"
-    return Table(columns, rows, title, notes=notes, details=(detail,))
+    return Table(
+        columns,
+        rows,
+        "Table 3. RMS torque error on the test motion",
+        notes=notes,
+        details=(detail,),
+    )
 
 
 def simulated_torque_table(redone: Reproduction) -> Table:

@@ -68,8 +68,20 @@ def record_virtual_robot(model: RobotModel) -> Recordings:
     """Record the virtual robot of a CAD model on the motions of the paper."""
     robot = _with_lighter_wrist(model)
     rng = np.random.default_rng(SEED)
-    bounds = _bounds(model)
-    training, test = _training_motion(bounds, rng), _test_motion(bounds, rng)
+    bounds = MotionBounds.assumed(model, SPEED)
+    bounds = replace(
+        bounds,
+        lower=POSES * bounds.lower,
+        upper=POSES * bounds.upper,
+        acceleration=SMOOTHNESS * bounds.acceleration,
+    )
+    training = _training_motion(bounds, rng)
+    test = PointToPointMotion.within(
+        _random_poses(bounds, rng, 8),
+        velocity=bounds.velocity,
+        acceleration=bounds.acceleration,
+        dwell=0.25,
+    )
     # Viscous friction of every joint [N m s/rad].
     values = np.column_stack([np.full(model.n_joints, 0.05), COULOMB]).ravel()
     logs = [
@@ -96,19 +108,12 @@ def simulation_motion(model: RobotModel) -> Motion:
 def _with_lighter_wrist(model: RobotModel) -> RobotModel:
     links = list(model.links)
     for k in WRIST:
-        inertia = LinkInertia.from_pseudo_inertia(WRIST_SHARE * links[k].inertia.pseudo_inertia)
-        links[k] = replace(links[k], inertia=inertia, parts=())
+        links[k] = replace(
+            links[k],
+            inertia=LinkInertia.from_pseudo_inertia(WRIST_SHARE * links[k].inertia.pseudo_inertia),
+            parts=(),
+        )
     return replace(model, links=tuple(links))
-
-
-def _bounds(model: RobotModel) -> MotionBounds:
-    bounds = MotionBounds.assumed(model, SPEED)
-    return replace(
-        bounds,
-        lower=POSES * bounds.lower,
-        upper=POSES * bounds.upper,
-        acceleration=SMOOTHNESS * bounds.acceleration,
-    )
 
 
 def _training_motion(bounds: MotionBounds, rng: np.random.Generator) -> Motion:
@@ -119,15 +124,6 @@ def _training_motion(bounds: MotionBounds, rng: np.random.Generator) -> Motion:
     poses = _random_poses(bounds, rng, 12)
     poses[0] = spline.end
     return Concatenated([spline, _quintic(bounds, poses)])
-
-
-def _test_motion(bounds: MotionBounds, rng: np.random.Generator) -> Motion:
-    return PointToPointMotion.within(
-        _random_poses(bounds, rng, 8),
-        velocity=bounds.velocity,
-        acceleration=bounds.acceleration,
-        dwell=0.25,
-    )
 
 
 def _quintic(bounds: MotionBounds, poses: Array) -> QuinticMotion:

@@ -12,7 +12,7 @@ from typing import Any
 
 from asbuilt import Cure, ReadingOptions, StudyOptions, UsageError, robot_names
 from asbuilt.cli.arguments.spread import option_name
-from asbuilt.cli.page.sheet import write_sheet
+from asbuilt.cli.page.columns import write_sheet
 from asbuilt.cli.page.worker import Worker
 from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.identification.effects.wanted import TILT
@@ -78,12 +78,11 @@ class Job:
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the page shows of it."""
-        seconds = round(time.monotonic() - self.begun, 1)
         return {
             "step": self.step,
             "what": self.what,
             "fraction": self.fraction,
-            "seconds": seconds,
+            "seconds": round(time.monotonic() - self.begun, 1),
         }
 
 

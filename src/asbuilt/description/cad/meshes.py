@@ -10,13 +10,22 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.cad.units import LENGTH
 from asbuilt.description.formats.xml import close_match
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link, RobotModel
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.ranges import Range
 
+LENGTH = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "µm": 1e-6,
+    "in": 0.0254,
+    "inch": 0.0254,
+    "ft": 0.3048,
+}
 MATERIALS: Mapping[str, float] = {
     "abs": 1050.0,
     "aluminium": 2700.0,

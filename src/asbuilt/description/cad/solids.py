@@ -86,8 +86,7 @@ def read_solids(
 def _instead(taken: LinkSolid, left: LinkSolid) -> LinkSolid:
     """Return the solid taken, with what is wrong with the preferred one."""
     wrong = (*left.doubts, *(f"{name} was not found" for name in left.missing))[0]
-    doubt = f"counts instead of {left.kind}: {wrong}"
-    return replace(taken, doubts=(doubt, *taken.doubts))
+    return replace(taken, doubts=(f"counts instead of {left.kind}: {wrong}", *taken.doubts))
 
 
 def _solid(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,14 +10,15 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.cad.meshes import CadLink
-from asbuilt.description.cad.units import unit_factor
-from asbuilt.description.finite import finite_number
+from asbuilt.description.cad.meshes import LENGTH, CadLink
+from asbuilt.description.finite import finite_number, read_rows
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link
 from asbuilt.errors import DescriptionError
-from asbuilt.untrusted import read_text
 
+MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237, "lbm": 0.45359237}
+_FACTOR = re.compile(r"([a-zA-Zµ]+)(?:\^?(-?\d+)|([²³]))?")
+_SUPERSCRIPT = {"²": 2, "³": 3}
 COLUMNS: dict[str, tuple[str, ...]] = {
     "link": ("link", "body"),
     "part": ("part", "component", "name"),
@@ -71,7 +71,8 @@ def read_cad_table(
             f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and"
             " products='tensor' or 'integral'"
         )
-    lines, decimal_point = _cells(path)
+    lines, separator = read_rows(path, ";\t,", "part")
+    decimal_point = "," if separator == "," else "."  # which a comma in a number stands for
     columns, factors = _columns(path, lines[0][1], mass_unit, length_unit)
     parts: dict[str, list[tuple[str, LinkInertia]]] = {}
     warnings: dict[str, list[str]] = {}
@@ -134,26 +135,6 @@ def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkIner
     )
 
 
-def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
-    """Return the numbered lines, and what a comma in a number stands for.
-
-    A decimal point, unless commas separate the cells.
-    """
-    text = read_text(path, "table", DescriptionError)
-    try:
-        header = text.partition("\n")[0]
-        separator = max(";\t,", key=header.count)
-        reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
-        lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
-    if len(lines) < 2:
-        raise DescriptionError(
-            f"{path}: the table has no rows; expected a header and one row per part"
-        )
-    return lines, "," if separator == "," else "."
-
-
 def _columns(
     path: Path, header: list[str], mass_unit: str, length_unit: str
 ) -> tuple[dict[str, int], dict[str, float]]:
@@ -190,3 +171,37 @@ def _columns(
             f" {', '.join(cell.strip() for cell in header)}"
         )
     return columns, factors
+
+
+def unit_factor(text: str, *, mass: int, length: int) -> float:
+    """Return the SI value of a unit such as `"g mm^2"`, `"kg*m²"` or `"lb in2"`.
+
+    It must be mass^mass length^length.
+
+    Raises `DescriptionError` where a symbol is unknown or the dimension is another one.
+
+    >>> unit_factor("g mm^2", mass=1, length=2)
+    1e-09
+    """
+    value, found_mass, found_length = 1.0, 0, 0
+    if _FACTOR.sub("", text).strip(" *·.()") or not text.strip():
+        raise DescriptionError(f"the unit {text!r} is not understood; write it like 'g mm^2'")
+    for symbol, power, superscript in _FACTOR.findall(text):
+        exponent = _SUPERSCRIPT.get(superscript) or int(power or 1)
+        if symbol in MASS:
+            found_mass += exponent
+            value *= MASS[symbol] ** exponent
+        elif symbol in LENGTH:
+            found_length += exponent
+            value *= LENGTH[symbol] ** exponent
+        else:
+            raise DescriptionError(
+                f"the unit {text!r} holds {symbol!r}, which is unknown; known are"
+                f" {', '.join([*MASS, *LENGTH])}"
+            )
+    if (found_mass, found_length) != (mass, length):
+        raise DescriptionError(
+            f"the unit {text!r} is mass^{found_mass} length^{found_length}; expected mass^{mass}"
+            f" length^{length}"
+        )
+    return value

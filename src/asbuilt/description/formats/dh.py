@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.description.finite import finite_number, read_rows
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import NO_SYMBOLS, added_symbols, named, rotated_symbols
 from asbuilt.description.model import (
@@ -25,7 +29,7 @@ from asbuilt.description.model import (
     Symbols,
 )
 from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z, straightened
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 
 Convention = Literal["standard", "modified"]
 
@@ -192,3 +196,100 @@ def joint_on_origin(joint: Joint, origin: Array, origin_symbols: Symbols | None 
         else added_symbols(ahead, rotated_symbols(origin[:3, :3], local))
     )
     return replace(joint, before=before, before_symbols=named(symbols))
+
+
+GEOMETRY_COLUMNS = ("b", "a", "alpha_deg")
+MASS_COLUMNS = ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
+KINDS: dict[str, JointKind] = {
+    "r": "revolute",
+    "revolute": "revolute",
+    "continuous": "continuous",
+    "p": "prismatic",
+    "prismatic": "prismatic",
+}
+
+
+def read_dh_table(path: str | Path) -> RobotModel:
+    """Read a serial robot from a CSV table with one row per link.
+
+    The convention is the standard (distal) one of Denavit and Hartenberg.
+
+    Columns `link, b, a, alpha_deg` [m, deg]; `m` [kg], `rx ry rz` [m] centre of mass from the
+    origin of the link's frame; `Ixx Iyy Izz Ixy Iyz Izx` [kg m^2] about the centre of mass; all in
+    the axes of the link's frame. Optional: `theta_deg`, `kind` (revolute or prismatic). Raises
+    `DescriptionError` with line and column.
+    """
+    path = Path(path)
+    lines, _ = read_rows(path, ",", "link")
+    columns = [name.strip() for name in lines[0][1]]
+    _check_columns(path, columns)
+    rows, table_notes = [], []
+    for line, cells in lines[1:]:
+        if len(cells) != len(columns):
+            raise DescriptionError(
+                f"{path}, line {line}: {len(cells)} cells, but the header has {len(columns)}"
+                " columns"
+            )
+        rows.append(
+            _row(
+                f"{path}, line {line}",
+                dict(zip(columns, (cell.strip() for cell in cells), strict=True)),
+            )
+        )
+    last = rows[-1]
+    if last.alpha != 0.0:
+        table_notes.append(
+            f"alpha of the last row is {math.degrees(last.alpha):g} deg: it turns no joint, only"
+            f" the axes in which the mass properties of link {len(rows)} are read; make sure that"
+            " they are given in these axes"
+        )
+    return robot_from_dh(rows, name=path.stem, source=str(path), notes=table_notes)
+
+
+def _check_columns(path: Path, columns: list[str]) -> None:
+    known = {"link", *GEOMETRY_COLUMNS, *MASS_COLUMNS, "theta_deg", "kind"}
+    repeated = min((name for name in columns if columns.count(name) > 1), default=None)
+    missing = [name for name in (*GEOMETRY_COLUMNS, *MASS_COLUMNS) if name not in columns]
+    unknown = next((name for name in columns if name not in known), None)
+    refuse(
+        DescriptionError,
+        (repeated is not None, f"{path}: column {repeated!r} appears twice"),
+        (
+            not set(GEOMETRY_COLUMNS) & set(columns),
+            f"{path} is no table of Denavit-Hartenberg parameters: it has columns"
+            f" {', '.join(columns[:8])}, none of {', '.join(GEOMETRY_COLUMNS)}; if it is a"
+            " recording, name the robot before it",
+        ),
+        (
+            missing,
+            f"{path}: column {', '.join(missing)} is missing; the table needs"
+            f" {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}",
+        ),
+        (
+            unknown is not None,
+            f"{path}: column {unknown!r} is unknown; known are {', '.join(sorted(known))}",
+        ),
+    )
+
+
+def _row(place: str, cells: dict[str, str]) -> DHRow:
+    def number(column: str) -> float:
+        return finite_number(cells.get(column, "0"), f"{place}: {column}")
+
+    kind = cells.get("kind", "revolute").lower()
+    if kind not in KINDS:
+        raise DescriptionError(f"{place}: kind is {kind!r}; it must be one of {', '.join(KINDS)}")
+    xx, yy, zz, xy, yz, zx = (number(name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx"))
+    tensor = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+    inertia = LinkInertia.from_com(number("m"), [number("rx"), number("ry"), number("rz")], tensor)
+    return DHRow(
+        a=number("a"),
+        alpha=math.radians(number("alpha_deg")),
+        b=number("b"),
+        theta=math.radians(number("theta_deg")),
+        kind=KINDS[kind],
+        inertia=inertia,
+    )
+
+
+FORMATS.register("dh_table", DescriptionFormat("DH table", (".csv",), read_dh_table))

@@ -14,9 +14,10 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.finite import finite_number
-from asbuilt.description.formats.compiled_mjcf.actuators import Actuators
-from asbuilt.description.formats.compiled_mjcf.couplings import coupled_by_equalities
-from asbuilt.description.formats.compiled_mjcf.loops import (
+from asbuilt.description.formats.compiled_mjcf import (
+    Actuators,
+    collected_warnings,
+    coupled_by_equalities,
     loops_by_equalities,
     with_passive_joints,
 )
@@ -126,6 +127,10 @@ def read_mjcf(
     joints, left_out = coupled_by_equalities(mujoco, compiled, tree.joints, closing)
     joints = with_passive_joints(mujoco, compiled, joints, tree.names, loops)
     rest = compiled.qpos0[compiled.jnt_qposadr] if loops else ()
+    links = [
+        Link.of_parts(name, parts, known=name not in unknown)
+        for name, parts in zip(tree.names, tree.parts, strict=True)
+    ]
     if left_out:
         tree.notes.append(
             f"{left_out} equality constraints are left out; every joint counts as driven on its own"
@@ -136,7 +141,7 @@ def read_mjcf(
         joints=tuple(joints),
         loops=tuple(loops),
         posture={joint.name: float(q) for joint, q in zip(tree.joints, rest, strict=False)},
-        links=links_on_base(source, joints, [tree.link(i) for i in range(len(tree.joints))], base),
+        links=links_on_base(source, joints, links, base),
         gravity=np.array(compiled.opt.gravity),
         root_link="world",
         frames=tuple(tree.frames),
@@ -146,15 +151,10 @@ def read_mjcf(
 
 
 def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
-    """Return the compiled model and MuJoCo's warnings.
-
-    They would otherwise go to the terminal and to a log file.
-    """
-    warnings: list[str] = []
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(warnings.append)
+    """Return the compiled model and MuJoCo's warnings."""
     try:
-        compiled = mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
+        with collected_warnings(mujoco) as warnings:
+            compiled = mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
     except RecursionError:
         raise DescriptionError(
             f"{source}: the elements are nested too deeply; MuJoCo allows about 500 bodies in a row"
@@ -163,8 +163,6 @@ def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list
         raise DescriptionError(
             f"{source}: MuJoCo refuses the model: {' '.join(str(error).split())}"
         ) from None
-    finally:
-        mujoco.set_mju_user_warning(previous)
     unset = next((warning for warning in warnings if "NaN" in warning), None)
     if unset is not None:  # MuJoCo takes such a number for one that is not given
         raise DescriptionError(
@@ -219,7 +217,7 @@ def _without_shapes(root: Element, source: str) -> set[str]:
             if element.tag == "geom"
         ]
         lost = not explicit and any(
-            _shape(geom, kind, shapes) in SHAPELESS for _, geom, kind in geoms
+            _shape(geom, shapes.get(kind, "sphere")) in SHAPELESS for _, geom, kind in geoms
         )
         for holder, geom, _ in geoms:
             if explicit or lost or body.tag == "worldbody":
@@ -259,10 +257,8 @@ def _inside(body: Element, childclass: str | None) -> Iterator[tuple[Element, El
             yield body, element, childclass
 
 
-def _shape(geom: Element, kind: str | None, shapes: dict[str | None, str]) -> str:
-    return (
-        "mesh" if geom.get("mesh") is not None else geom.get("type") or shapes.get(kind, "sphere")
-    )
+def _shape(geom: Element, inherited: str) -> str:
+    return "mesh" if geom.get("mesh") is not None else geom.get("type") or inherited
 
 
 def _default_shapes(element: Element, inherited: str) -> list[tuple[str | None, str]]:
@@ -442,21 +438,6 @@ class _Tree:
                         name=name, link=self.carrier[body], placement=composed(self.pose[body], own)
                     )
                 )
-
-    def link(self, index: int) -> Link:
-        name, parts = self.names[index], self.parts[index]
-        total = (
-            LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
-            if parts
-            else LinkInertia.zero()
-        )
-        merged = len(parts) > 1 or any(part != name for part, _ in parts)
-        return Link(
-            name=name,
-            inertia=total,
-            inertia_known=name not in self.unknown,
-            parts=tuple(parts) if merged else (),
-        )
 
 
 FORMATS.register(

@@ -64,8 +64,7 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     SubElement(root, "option", gravity=_numbers(model.gravity), integrator="RK4", timestep="0.001")
     if shapes:
         _scene(root, stretched_length(model))
-    world = SubElement(root, "worldbody")
-    bodies, at = {ROOT: world}, reference_posture(model)
+    bodies, at = {ROOT: SubElement(root, "worldbody")}, reference_posture(model)
     for k in model.link_order:
         bodies[k] = _body(bodies[model.parents[k]], model, k, float(at[k]))
     for frame in model.frames:
@@ -255,8 +254,7 @@ def _inertial(body: Element, inertia: LinkInertia, what: str) -> None:
 
 
 def _scene(root: Element, reach: float) -> None:
-    visual = SubElement(root, "visual")
-    SubElement(visual, "global", offwidth="1920", offheight="1440")
+    SubElement(SubElement(root, "visual"), "global", offwidth="1920", offheight="1440")
     SubElement(
         root, "statistic", extent=_numbers([reach]), center=_numbers([0.0, 0.0, 0.4 * reach])
     )

@@ -157,8 +157,7 @@ def _only_model(root: Element, source: str) -> Element:
         )
     (model,) = models
     for tag in ("include", "model"):
-        nested = model.find(tag)
-        if nested is not None:
+        if model.find(tag) is not None:
             raise DescriptionError(
                 f"{source}: model {model.get('name')!r} has <{tag}>, which is not read; write all"
                 " links and joints into one model, as  gz sdf -p FILE  does"
@@ -261,8 +260,7 @@ def _direction(axis: Element, frames: _Frames, name: str, place: str) -> Array:
     if xyz is not None:
         direction = _numbers(xyz.text, 3, f"{place}: <xyz>")
         said = xyz.get("expressed_in")
-        old = _text(axis, "use_parent_model_frame", place, "false") in ("true", "1")
-        if said or old:
+        if said or _text(axis, "use_parent_model_frame", place, "false") in ("true", "1"):
             turned = frames.pose(name)[:3, :3].T @ frames.pose(said or MODEL)[:3, :3]
             direction = turned @ direction
     return direction

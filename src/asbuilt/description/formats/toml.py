@@ -96,8 +96,6 @@ class _Reading:
     """What grows while the links are read one after the other."""
 
     file: RobotFile
-    unit: float
-    """Radians per angle unit of the file."""
     lengths: dict[str, float]
     notes: list[str]
 
@@ -123,7 +121,7 @@ class _Reading:
             angles = zip(("roll", "pitch", "yaw"), table.rpy or (0.0, 0.0, 0.0), strict=True)
             R = rotation_from_rpy(
                 [
-                    straightened(value * self.unit, f"{name} of {what}", self.notes)
+                    straightened(value * self.file.angle, f"{name} of {what}", self.notes)
                     for name, value in angles
                 ]
             )
@@ -145,30 +143,20 @@ class _Reading:
         self.lengths[symbol] = value
         return ((1.0, symbol),)
 
-    def joint(self, link: LinkTable, index: int, parent: int) -> Joint:
-        return (
-            self.dh_joint(link, link.dh, index, parent)
-            if link.dh is not None
-            else self.placed_joint(link, index, parent)
-        )
-
     def dh_joint(self, link: LinkTable, dh: DHTable, index: int, parent: int) -> Joint:
         row = DHRow(
             a=dh.a,
-            alpha=dh.alpha * self.unit,
+            alpha=dh.alpha * self.file.angle,
             b=dh.b,
-            theta=dh.theta * self.unit,
+            theta=dh.theta * self.file.angle,
             kind=link.kind,
             joint=link.joint or "",
             parent=parent,
             limits=self.limits(link),
             drive=link.drive.values,
         )
-        joint, symbols = (
-            dh_joint(row, index, self.file.convention or "standard", self.notes),
-            dh_lengths(row, index),
-        )
-        for symbol, value in symbols.items():
+        joint = dh_joint(row, index, self.file.convention or "standard", self.notes)
+        for symbol, value in dh_lengths(row, index).items():
             if self.lengths.setdefault(symbol, value) != value:
                 raise DescriptionError(
                     f"the named length {symbol} = {self.lengths[symbol]} is also the symbol of link"
@@ -207,24 +195,11 @@ class _Reading:
         )
 
     def limits(self, link: LinkTable) -> JointLimits:
-        given, scale = link.limits, 1.0 if link.kind == "prismatic" else self.unit
-        return JointLimits(
-            lower=given.lower * scale,
-            upper=given.upper * scale,
-            velocity=given.velocity * scale,
-            acceleration=given.acceleration * scale,
-            jerk=given.jerk * scale,
-            torque=given.torque,
-        )
+        return link.limits.in_si(1.0 if link.kind == "prismatic" else self.file.angle)
 
 
 def _model(file: RobotFile, source: str) -> RobotModel:
-    reading = _Reading(
-        file,
-        math.pi / 180.0 if file.angle_unit == "deg" else 1.0,
-        dict(file.lengths),
-        list(file.notes),
-    )
+    reading = _Reading(file, dict(file.lengths), list(file.notes))
     names = [link.name for link in file.links]
     joints: list[Joint] = []
     for i, link in enumerate(file.links):
@@ -233,7 +208,11 @@ def _model(file: RobotFile, source: str) -> RobotModel:
             if link.parent is None
             else reading.link_index(link.parent, names[:i], f"parent of link {link.name!r}")
         )
-        joint = reading.joint(link, i, parent)
+        joint = (
+            reading.placed_joint(link, i, parent)
+            if link.dh is None
+            else reading.dh_joint(link, link.dh, i, parent)
+        )
         if link.mimic is not None:
             joint = replace(joint, mimic=_mimic(link, file))
         joints.append(joint)
@@ -323,13 +302,10 @@ def _refuse_long_chain(path: Path) -> None:
 def _motors(file: RobotFile) -> dict[str, tuple[JointLimits, DriveValues]]:
     """Return limits and drive of the motors that are no joints."""
     found = dict[str, tuple[JointLimits, DriveValues]]()
-    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
     for motor in file.motors:
         if motor.name in found:
             raise DescriptionError(f"motor {motor.name!r} is given twice")
-        given = {name: value * scale for name, value in motor.limits.model_dump().items()}
-        limits = JointLimits(**given | {"torque": motor.limits.torque})
-        found[motor.name] = limits, motor.drive.values
+        found[motor.name] = motor.limits.in_si(file.angle), motor.drive.values
     return found
 
 
@@ -372,7 +348,6 @@ def _with_passive(joints: Sequence[Joint], file: RobotFile) -> tuple[Joint, ...]
 
 def _loops(file: RobotFile) -> tuple[Loop, ...]:
     """Return the loops; angles of `rpy` are in the unit of the file, near right ones exact."""
-    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
     return tuple(
         Loop(
             kind=table.kind,
@@ -380,10 +355,10 @@ def _loops(file: RobotFile) -> tuple[Loop, ...]:
             point_a=np.array(table.point_a),
             link_b=table.link_b,
             point_b=np.array(table.point_b),
-            rotation=(
-                snapped(table.rotation)
-                if table.rotation is not None
-                else snapped(rotation_from_rpy([scale * each for each in table.rpy or (0, 0, 0)]))
+            rotation=snapped(
+                rotation_from_rpy([file.angle * each for each in table.rpy or (0, 0, 0)])
+                if table.rotation is None
+                else table.rotation
             ),
             joints=table.joints,
             polynomial=table.polynomial,
@@ -396,13 +371,12 @@ def _loops(file: RobotFile) -> tuple[Loop, ...]:
 def _springs(file: RobotFile, model: RobotModel) -> tuple[Spring, ...]:
     """Return the springs, the rest of those that turn in radians."""
     slides = {joint.name for joint in model.joints if not joint.is_revolute}
-    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
     return tuple(
         Spring(
             **table.model_dump(exclude={"point_a", "point_b", "rest"}),
             point_a=np.array(table.point_a),
             point_b=np.array(table.point_b),
-            rest=table.rest * (1.0 if table.joint in slides else scale),
+            rest=table.rest * (1.0 if table.joint in slides else file.angle),
         )
         for table in file.springs
     )
@@ -410,10 +384,10 @@ def _springs(file: RobotFile, model: RobotModel) -> tuple[Spring, ...]:
 
 def _posture(file: RobotFile, joints: Sequence[Joint]) -> dict[str, float]:
     """Return the posture at which loops are closed [rad or m], angles of revolute joints scaled."""
-    scale = math.pi / 180.0 if file.angle_unit == "deg" else 1.0
     slides = {name for j in joints if not j.is_revolute for name in (j.name, j.name_in_tree)}
     return {
-        name: value * (1.0 if name in slides else scale) for name, value in file.posture.items()
+        name: value * (1.0 if name in slides else file.angle)
+        for name, value in file.posture.items()
     }
 
 

@@ -19,9 +19,9 @@ from pydantic import (
 from asbuilt.arrays import Array
 from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind
+from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind, JointLimits
 from asbuilt.description.rotation import rotation_fault
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 from asbuilt.registry import did_you_mean, known_fields
 
 
@@ -78,14 +78,19 @@ class PlacementTable(_Table):
 
     @model_validator(mode="after")
     def _one_rotation(self) -> PlacementTable:
-        if self.rpy is not None and self.rotation is not None:
-            raise ValueError("give rpy or rotation, not both")
-        if any(isinstance(value, float) and not math.isfinite(value) for value in self.xyz):
-            raise ValueError(f"xyz must be finite, got {list(self.xyz)}")
-        if self.rotation is not None:
-            fault = rotation_fault(self.rotation)
-            if fault is not None:
-                raise ValueError(f"rotation is not a rotation matrix: {fault}")
+        fault = None if self.rotation is None else rotation_fault(self.rotation)
+        refuse(
+            ValueError,
+            (
+                self.rpy is not None and self.rotation is not None,
+                "give rpy or rotation, not both",
+            ),
+            (
+                any(isinstance(value, float) and not math.isfinite(value) for value in self.xyz),
+                f"xyz must be finite, got {list(self.xyz)}",
+            ),
+            (fault, f"rotation is not a rotation matrix: {fault}"),
+        )
         return self
 
 
@@ -140,18 +145,21 @@ class MassTable(_Table):
                     " properties out"
                 )
             return self
-        if (self.com is None) == (self.first_moment is None):
-            raise ValueError("give com or first_moment beside mass, and only one of them")
-        if (self.inertia_about_com is None) == (self.inertia_about_origin is None):
-            raise ValueError(
-                "give inertia_about_com or inertia_about_origin beside mass, and only one of them"
-            )
-        if (
-            self.first_moment is not None
-            and self.inertia_about_com is not None
-            and self.mass == 0.0
-        ):
-            raise ValueError("a link without mass has no centre of mass; give inertia_about_origin")
+        refuse(
+            ValueError,
+            (
+                (self.com is None) == (self.first_moment is None),
+                "give com or first_moment beside mass, and only one of them",
+            ),
+            (
+                (self.inertia_about_com is None) == (self.inertia_about_origin is None),
+                "give inertia_about_com or inertia_about_origin beside mass, and only one of them",
+            ),
+            (
+                self.mass == 0.0 and not {"com", "inertia_about_origin"} & {*given},
+                "a link without mass has no centre of mass; give inertia_about_origin",
+            ),
+        )
         return self
 
     @property
@@ -202,6 +210,11 @@ class LimitsTable(_Table):
                 " beyond all positions"
             )
         return self
+
+    def in_si(self, scale: float) -> JointLimits:
+        """Return the limits as the robot model keeps them, for positions in units of `scale`."""
+        given = {name: value * scale for name, value in self.model_dump().items()}
+        return JointLimits(**given | {"torque": self.torque})
 
 
 class DriveTable(_Table):
@@ -279,17 +292,23 @@ class LinkTable(MassTable):
 
     @model_validator(mode="after")
     def _one_geometry(self) -> LinkTable:
-        if self.dh is not None and (self.axis is not None or self.after is not None):
-            raise ValueError("a link placed by dh takes no axis and no after")
-        if self.dh is None and self.origin is None:
-            raise ValueError(
+        refuse(
+            ValueError,
+            (
+                self.dh is not None and (self.axis is not None or self.after is not None),
+                "a link placed by dh takes no axis and no after",
+            ),
+            (
+                self.dh is None and self.origin is None,
                 "the link has no geometry: give dh = {...} or origin = {...} (origin = {} where the"
-                " frames coincide)"
-            )
-        if self.axis is not None and math.hypot(*self.axis) == 0.0:
-            raise ValueError("axis has length zero")
-        if self.parts and self.mass is not None:
-            raise ValueError("give the mass properties of the link or of its parts, not both")
+                " frames coincide)",
+            ),
+            (self.axis is not None and math.hypot(*self.axis) == 0.0, "axis has length zero"),
+            (
+                self.parts and self.mass is not None,
+                "give the mass properties of the link or of its parts, not both",
+            ),
+        )
         return self
 
 
@@ -385,12 +404,16 @@ class LoopTable(_Table):
             if self.kind == "joint"
             else {"joints", "polynomial", *(() if self.kind == "weld" else ("rpy", "rotation"))}
         )
-        if wrong:
-            raise ValueError(f"a loop of kind {self.kind} takes no {', '.join(sorted(wrong))}")
-        if self.kind != "joint" and (missing := {"link_a", "link_b"} - given):
-            raise ValueError(f"{' and '.join(sorted(missing))}: is missing; name the two links")
-        if self.rpy is not None and self.rotation is not None:
-            raise ValueError("give rpy or rotation, not both")
+        missing = set() if self.kind == "joint" else {"link_a", "link_b"} - given
+        refuse(
+            ValueError,
+            (wrong, f"a loop of kind {self.kind} takes no {', '.join(sorted(wrong))}"),
+            (missing, f"{' and '.join(sorted(missing))}: is missing; name the two links"),
+            (
+                self.rpy is not None and self.rotation is not None,
+                "give rpy or rotation, not both",
+            ),
+        )
         return self
 
 
@@ -427,10 +450,12 @@ class SpringTable(_Table):
             "cylinder": at_joint | {"stiffness"},
             "torsion": ends | of_cylinder,
         }[self.kind]
-        if wrong := given & refused:
-            raise ValueError(f"a spring of kind {self.kind} takes no {', '.join(sorted(wrong))}")
-        if missing := needed - given:
-            raise ValueError(f"{', '.join(sorted(missing))}: is missing for kind {self.kind}")
+        wrong, missing = (", ".join(sorted(each)) for each in (given & refused, needed - given))
+        refuse(
+            ValueError,
+            (wrong, f"a spring of kind {self.kind} takes no {wrong}"),
+            (missing, f"{missing}: is missing for kind {self.kind}"),
+        )
         return self
 
 
@@ -457,22 +482,36 @@ class RobotFile(_Table):
     passive: tuple[str, ...] = ()
     posture: dict[str, Finite] = {}
 
+    @property
+    def angle(self) -> float:
+        """Radians per angle unit of the file."""
+        return math.pi / 180.0 if self.angle_unit == "deg" else 1.0
+
     @model_validator(mode="after")
     def _convention_stated(self) -> RobotFile:
-        if self.extends and (own := self.model_fields_set & BESIDE_OTHERS):
-            raise ValueError(
-                f"{', '.join(sorted(own))} cannot be said again of a robot that the file extends;"
-                f" leave them to {self.extends}"
-            )
-        if not self.extends and (missing := {"name", "links"} - self.model_fields_set):
-            raise ValueError(f"{' and '.join(sorted(missing))}: is missing; or give extends")
-        if not self.extends and not self.links:
-            raise ValueError("links: Tuple should have at least 1 item, a robot needs a link")
-        if self.convention is None and any(link.dh is not None for link in self.links):
-            raise ValueError(
+        own = sorted(self.model_fields_set & BESIDE_OTHERS)
+        missing = sorted({"name", "links"} - self.model_fields_set)
+        refuse(
+            ValueError,
+            (
+                self.extends and own,
+                f"{', '.join(own)} cannot be said again of a robot that the file extends;"
+                f" leave them to {self.extends}",
+            ),
+            (
+                not self.extends and missing,
+                f"{' and '.join(missing)}: is missing; or give extends",
+            ),
+            (
+                not self.extends and not self.links,
+                "links: Tuple should have at least 1 item, a robot needs a link",
+            ),
+            (
+                self.convention is None and any(link.dh is not None for link in self.links),
                 'the file has dh rows but does not say which: add convention = "standard" or'
-                ' convention = "modified"'
-            )
+                ' convention = "modified"',
+            ),
+        )
         return self
 
 

@@ -41,7 +41,7 @@ from asbuilt.description.rotation import (
     straightened,
 )
 from asbuilt.description.structure.free_base import BaseKind, free_urdf, links_on_base
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 from asbuilt.findings import Cure
 
 MOVING: dict[str, JointKind] = {
@@ -49,14 +49,21 @@ MOVING: dict[str, JointKind] = {
     "continuous": "continuous",
     "prismatic": "prismatic",
 }
+HELD_OR_REPLACED = {
+    "floating": Cure(
+        "hold it at its pose if the robot hangs in the air or stands clamped, or replace it by"
+        ' type="fixed"',
+        settings={"fixed_base": True},
+    ),
+    "planar": Cure('replace it by type="fixed" or by a chain of those'),
+}
+"""What to do with joints of several freedoms, by type."""
 AXIS_TOLERANCE = 1e-6
 """An axis whose length differs from 1 by more is scaled to unit length with a note."""
 
 
-@dataclass(frozen=True)
-class _Body:
-    name: str
-    inertia: LinkInertia | None
+_Bodies = dict[str, LinkInertia | None]
+"""The inertia of each link of the file by name, None where it gives none."""
 
 
 @dataclass(frozen=True)
@@ -103,16 +110,19 @@ def read_urdf(
     """
     content, source = described_text(path_or_text)
     root = parsed_xml(content, source)
-    if root.tag == "mujoco":
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (
+            root.tag == "mujoco",
             f"{source}: this is a MuJoCo model (MJCF), not a URDF; load it with load_robot or"
-            " read_mjcf"
-        )
+            " read_mjcf",
+        ),
+        (
+            root.tag != "robot",
+            f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>",
+        ),
+    )
     held = _without_floating_joints(root) if fixed_base else []
-    if root.tag != "robot":
-        raise DescriptionError(
-            f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>"
-        )
     if base != "fixed":
         free_urdf(root, base, source)
     notes = [f"the floating joint {name!r} is held at its origin" for name in held]
@@ -126,22 +136,10 @@ def read_urdf(
             " identify"
         )
     _check_mimics(tree.joints, connections, source, notes)
-    links = []
-    for name, parts in zip(tree.links, tree.parts, strict=True):
-        total = (
-            LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
-            if parts
-            else LinkInertia.zero()
-        )
-        merged = len(parts) > 1 or any(part != name for part, _ in parts)
-        links.append(
-            Link(
-                name=name,
-                inertia=total,
-                inertia_known=bool(parts),
-                parts=tuple(parts) if merged else (),
-            )
-        )
+    links = [
+        Link.of_parts(name, parts, known=bool(parts))
+        for name, parts in zip(tree.links, tree.parts, strict=True)
+    ]
     return RobotModel(
         drives_by_design=False,
         name=(root.get("name") or "robot").strip(),
@@ -175,8 +173,8 @@ def _origin(element: Element, place: str, notes: list[str], straighten: bool) ->
     return placement(rotation_from_rpy(rpy), xyz)
 
 
-def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> dict[str, _Body]:
-    bodies: dict[str, _Body] = {}
+def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> _Bodies:
+    bodies: _Bodies = {}
     for i, element in enumerate(root.findall("link")):
         name = required(element, "name", f"{source}, link number {i + 1}")
         if name in bodies:
@@ -185,9 +183,7 @@ def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> d
             )
         place = f"{source}, link {name!r}"
         inertial = _only(element, "inertial", place, notes)
-        bodies[name] = _Body(
-            name, _inertia(inertial, place, notes, straighten) if inertial is not None else None
-        )
+        bodies[name] = None if inertial is None else _inertia(inertial, place, notes, straighten)
     if not bodies:
         raise DescriptionError(f"{source}: the URDF has no <link>")
     return bodies
@@ -211,7 +207,7 @@ def _inertia(inertial: Element, place: str, notes: list[str], straighten: bool) 
 
 
 def _connections(
-    root: Element, bodies: dict[str, _Body], source: str, notes: list[str], straighten: bool
+    root: Element, bodies: _Bodies, source: str, notes: list[str], straighten: bool
 ) -> list[_Connection]:
     connections: list[_Connection] = []
     names: set[str] = set()
@@ -225,32 +221,29 @@ def _connections(
         names.add(name)
         place = f"{source}, joint {name!r}"
         kind = required(element, "type", place)
-        if kind in ("floating", "planar"):
-            raise DescriptionError(
+        refuse(
+            DescriptionError,
+            (
+                kind in HELD_OR_REPLACED,
                 f"{place}: type is {kind!r}; asbuilt describes robots whose root link stands still"
                 " and whose joints are revolute, continuous, prismatic or fixed",
-                cure=(
-                    Cure(
-                        "hold it at its pose if the robot hangs in the air or stands clamped, or"
-                        ' replace it by type="fixed"',
-                        settings={"fixed_base": True},
-                    )
-                    if kind == "floating"
-                    else Cure('replace it by type="fixed" or by a chain of those')
-                ),
-            )
-        if kind not in (*MOVING, "fixed"):
-            raise DescriptionError(
-                f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed"
-            )
+                {"cure": HELD_OR_REPLACED.get(kind)},
+            ),
+            (
+                kind not in (*MOVING, "fixed"),
+                f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed",
+            ),
+        )
         parent, child = (_end(element, end, bodies, place) for end in ("parent", "child"))
-        if parent == child:
-            raise DescriptionError(f"{place}: the joint connects link {parent!r} with itself")
-        if child in parent_joint:
-            raise DescriptionError(
-                f"{source}: link {child!r} is the child of joint {parent_joint[child]!r} and of"
-                f" joint {name!r}; closed chains are not supported, a link hangs on one joint"
-            )
+        refuse(
+            DescriptionError,
+            (parent == child, f"{place}: the joint connects link {parent!r} with itself"),
+            (
+                child in parent_joint,
+                f"{source}: link {child!r} is the child of joint {parent_joint.get(child)!r} and of"
+                f" joint {name!r}; closed chains are not supported, a link hangs on one joint",
+            ),
+        )
         parent_joint[child] = name
         connections.append(
             _Connection(
@@ -266,7 +259,7 @@ def _connections(
     return connections
 
 
-def _end(element: Element, end: str, bodies: dict[str, _Body], place: str) -> str:
+def _end(element: Element, end: str, bodies: _Bodies, place: str) -> str:
     found = element.find(end)
     if found is None:
         raise DescriptionError(f"{place}: <{end} link=...> is missing")
@@ -278,26 +271,29 @@ def _end(element: Element, end: str, bodies: dict[str, _Body], place: str) -> st
     return name
 
 
-def _root_link(bodies: dict[str, _Body], connections: list[_Connection], source: str) -> str:
+def _root_link(bodies: _Bodies, connections: list[_Connection], source: str) -> str:
     children = {connection.child for connection in connections}
     tops = [name for name in bodies if name not in children]
-    if not tops:
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (
+            not tops,
             f"{source}: every link is the child of a joint, so the joints form a loop; one link"
-            " must be the root"
-        )
-    if len(tops) > 1:
-        raise DescriptionError(
+            " must be the root",
+        ),
+        (
+            len(tops) > 1,
             f"{source}: {len(tops)} links have no parent joint"
             f" ({', '.join(repr(name) for name in tops[:5])}); a robot has one root: connect the"
-            " others to it"
-        )
+            " others to it",
+        ),
+    )
     return tops[0]
 
 
 def _merged(
     top: str,
-    bodies: dict[str, _Body],
+    bodies: _Bodies,
     connections: list[_Connection],
     source: str,
     notes: list[str],
@@ -311,18 +307,18 @@ def _merged(
     while waiting:
         connection, carrier, parent_pose = waiting.pop()
         pose = composed(parent_pose, connection.origin)
-        body = bodies[connection.child]
-        reached.add(body.name)
+        name, inertia = connection.child, bodies[connection.child]
+        reached.add(name)
         if connection.kind == "fixed":
-            tree.frames.append(Frame(name=body.name, link=carrier, placement=pose))
-            if carrier != ROOT and body.inertia is not None:
-                tree.parts[carrier].append((body.name, body.inertia.moved(pose)))
+            tree.frames.append(Frame(name=name, link=carrier, placement=pose))
+            if carrier != ROOT and inertia is not None:
+                tree.parts[carrier].append((name, inertia.moved(pose)))
         else:
             tree.joints.append(_joint(connection, carrier, pose, notes))
-            tree.links.append(body.name)
-            tree.parts.append([(body.name, body.inertia)] if body.inertia is not None else [])
+            tree.links.append(name)
+            tree.parts.append([(name, inertia)] if inertia is not None else [])
             carrier, pose = len(tree.joints) - 1, np.eye(4)
-        waiting.extend((after, carrier, pose) for after in reversed(below.get(body.name, [])))
+        waiting.extend((after, carrier, pose) for after in reversed(below.get(name, [])))
     if len(reached) < len(bodies):
         lost = next(name for name in bodies if name not in reached)
         raise DescriptionError(

@@ -20,7 +20,7 @@ from asbuilt.untrusted import file_named, is_xacro_trusted, read_bytes, shortene
 LONGEST = 30.0
 """Seconds that an expansion may take."""
 PROGRAM = (
-    "from asbuilt.description.formats.expansion.expander import expand;"
+    "from asbuilt.description.formats.expansion import expand;"
     " expand({path!r}, {largest}, trusted={trusted})"
 )
 

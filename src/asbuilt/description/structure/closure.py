@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.structure.closure_kernel import FARTHEST, SEARCH, SINGULAR, close_loops
 from asbuilt.description.structure.couplings import TreeMotion, linear_part
 from asbuilt.description.structure.locking import usual_position
@@ -168,8 +168,7 @@ class Closure:
         for kind, given in zip(self.numbers.kinds.tolist(), self.numbers.numbers, strict=True):
             count = ROWS[kind]
             size = 1.0 if kind == JOINT else float(given[SIZE])
-            phi = equations[row : row + count, -2]
-            found.append(size * float(np.abs(phi).max()))
+            found.append(size * float(np.abs(equations[row : row + count, -2]).max()))
             row += count
         return found
 
@@ -247,8 +246,7 @@ def closure_of(
     the loops are closed, roughly, others being where they usually are. Raises `DescriptionError`
     where the loops do not close, leave a passive joint free, or are torn by a motor.
     """
-    every = (*joints, *followers)
-    found = _open(robot, every, len(joints), loops, posture, links, frames)
+    found = _open(robot, (*joints, *followers), len(joints), loops, posture, links, frames)
     n = len(joints)
     motion, quality = _run(
         found.arrays, found.scale, found.home, np.inf, True, found.home[None, :n].copy(),
@@ -256,8 +254,7 @@ def closure_of(
     )  # fmt: skip
     at = found._coordinates(found.home[:n], motion.q[0])
     _check_closed(found, at, quality[0])
-    gap = float(quality[0, 0])
-    found = replace(found, home=at, tolerance=max(ROUNDING, KEPT * gap))
+    found = replace(found, home=at, tolerance=max(ROUNDING, KEPT * float(quality[0, 0])))
     return _with_typical_shares(found)
 
 
@@ -398,9 +395,7 @@ def _with_typical_shares(found: Closure) -> Closure:
     shares = np.sqrt(np.mean(examples**2, axis=0))
     shares = np.where(np.ptp(examples, axis=0) < UNMOVED, examples[0], shares)
     shares[np.abs(shares) < UNMOVED] = 0.0
-    of_links = shares[np.argsort(found.order)]
-    of_links.setflags(write=False)
-    return replace(found, of_links=of_links)
+    return replace(found, of_links=read_only(shares[np.argsort(found.order)]))
 
 
 def _check_motors(found: Closure) -> None:
@@ -409,8 +404,7 @@ def _check_motors(found: Closure) -> None:
     J = found.equations(found.home)[:, :-2] * found.scale
     moves = -np.linalg.lstsq(J[:, n:], J[:, :n], rcond=None)[0]
     torn = np.linalg.norm(J[:, :n] + J[:, n:] @ moves, axis=0)
-    size = float(np.linalg.norm(J, axis=0).max())
-    at = np.flatnonzero(torn > SEEN * size)
+    at = np.flatnonzero(torn > SEEN * float(np.linalg.norm(J, axis=0).max()))
     if at.size:
         names = [found.names[k] for k in at]
         raise DescriptionError(

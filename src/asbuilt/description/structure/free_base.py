@@ -7,7 +7,7 @@ links between them have no inertia. A planar base has x, y and yaw alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
@@ -98,7 +98,7 @@ def free_urdf(root: Element, kind: BaseKind, source: str) -> None:
     while above in links:
         above = f"{above}_"
     SubElement(root, "link", name=above)
-    for name, below in _rungs(kind, top):
+    for name, below in zip(JOINTS_OF[kind], (*JOINTS_OF[kind][:-1], top), strict=True):
         sort, axis = AXES[name]
         if below != top:
             SubElement(root, "link", name=below)
@@ -151,12 +151,6 @@ def free_mjcf(root: Element, kind: BaseKind, source: str) -> None:
             if geom.get("mesh") is None and geom.get("name") not in taken:
                 place_of = {"name": geom.get("name", ""), "pos": geom.get("pos", "0 0 0")}
                 SubElement(holder, "site", place_of)
-
-
-def _rungs(kind: BaseKind, top: str) -> Iterator[tuple[str, str]]:
-    """Yield the joints of a base with the link that each moves, the last of them `top`."""
-    names = JOINTS_OF[kind]
-    yield from zip(names, (*names[:-1], top), strict=True)
 
 
 def _carries_mass(root: Element, top: str) -> bool:

@@ -13,7 +13,7 @@ from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import composed
 from asbuilt.description.structure.parts import ROOT, Frame, Joint, JointLimits, Link
-from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.errors import DescriptionError, UsageError, refuse
 from asbuilt.findings import Cure, Finding, joined
 
 
@@ -205,21 +205,23 @@ def locked_positions(
     """
     asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
     by_name = {joint.name: joint for joint in present}
-    unknown = [name for name in asked if name not in by_name and name not in locked]
-    if unknown:
-        raise DescriptionError(
-            f"{robot} has no joint {unknown[0]!r} to lock; its joints are"
+    unknown = next((name for name in asked if name not in by_name and name not in locked), None)
+    placed = next((name for name in asked if name in by_name and by_name[name].is_passive), None)
+    refuse(
+        DescriptionError,
+        (
+            unknown is not None,
+            f"{robot} has no joint {unknown!r} to lock; its joints are"
             f" {', '.join((*by_name, *locked))}",
-            value=unknown[0],
-            available=[*by_name, *locked],
-        )
-    placed = [name for name in asked if name in by_name and by_name[name].is_passive]
-    if placed:
-        raise DescriptionError(
-            f"joint {placed[0]!r} cannot be locked: the loops of {robot} place it; lock the motors"
+            {"value": unknown, "available": [*by_name, *locked]},
+        ),
+        (
+            placed is not None,
+            f"joint {placed!r} cannot be locked: the loops of {robot} place it; lock the motors"
             " that move it",
-            value=placed[0],
-        )
+            {"value": placed},
+        ),
+    )
     for name, value in asked.items():
         if value is not None and not math.isfinite(value):
             raise DescriptionError(f"joint {name!r} cannot be locked at {value}; give a number")

@@ -8,10 +8,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.rotation import rotation_fault
-from asbuilt.description.structure.parts import ROOT, Frame, Joint
-from asbuilt.errors import DescriptionError
+from asbuilt.description.structure.parts import ROOT, Frame, Joint, ancestors
+from asbuilt.errors import DescriptionError, refuse
 
 LoopKind = Literal["connect", "weld", "joint"]
 CONNECT, WELD, JOINT = range(3)
@@ -52,32 +52,34 @@ class Loop:
                 f"{self}: kind {self.kind!r} is not known; kinds are {', '.join(CODES)}"
             )
         for name, shape in (("point_a", (3,)), ("point_b", (3,)), ("rotation", (3, 3))):
-            array = np.array(getattr(self, name), dtype=np.float64)
+            array = read_only(getattr(self, name))
             if array.shape != shape or not np.isfinite(array).all():
                 raise DescriptionError(
                     f"{self}: {name} must be {shape} finite numbers, got {array.tolist()}"
                 )
-            array.setflags(write=False)
             object.__setattr__(self, name, array)
         object.__setattr__(self, "joints", tuple(self.joints))
         object.__setattr__(self, "polynomial", tuple(float(each) for each in self.polynomial))
-        fault = rotation_fault(self.rotation.tolist())
-        if fault is not None:
-            raise DescriptionError(f"{self}: rotation is not a rotation matrix: {fault}")
-        if self.kind == "joint" and not (
-            1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
-        ):
-            raise DescriptionError(
+        fault, of_joints = rotation_fault(self.rotation.tolist()), self.kind == "joint"
+        numbers = 1 <= len(self.joints) <= 2 and 1 <= len(self.polynomial) <= 5
+        refuse(
+            DescriptionError,
+            (fault, f"{self}: rotation is not a rotation matrix: {fault}"),
+            (
+                of_joints and not numbers,
                 f"{self}: a loop of joints needs one or two of them and a polynomial of one to five"
-                f" numbers, got {len(self.joints)} and {len(self.polynomial)}"
-            )
-        if self.kind != "joint" and (not self.link_a or not self.link_b):
-            raise DescriptionError(f"{self}: link_a and link_b are needed")
-        if self.kind != "joint" and self.link_a == self.link_b:
-            raise DescriptionError(
+                f" numbers, got {len(self.joints)} and {len(self.polynomial)}",
+            ),
+            (
+                not of_joints and not (self.link_a and self.link_b),
+                f"{self}: link_a and link_b are needed",
+            ),
+            (
+                not of_joints and self.link_a == self.link_b,
                 f"{self}: both points are on {self.link_a!r}, so that it closes no chain; name the"
-                " two links that meet there"
-            )
+                " two links that meet there",
+            ),
+        )
 
     def __str__(self) -> str:
         if self.name:
@@ -146,7 +148,7 @@ def loop_numbers(
             if name not in links:
                 at, pose = named[name].link, named[name].placement
             row[POINT + 3 * side : POINT + 3 * side + 3] = pose[:3, :3] @ point + pose[:3, 3]
-            sides.append(_ancestors(tree, at))
+            sides.append(ancestors(tree, at))
             turns.append(pose[:3, :3])
         row[TURN : TURN + 9] = (turns[0] @ loop.rotation @ turns[1].T).ravel()
         shared = sum(1 for a, b in zip(*sides, strict=False) if a == b)
@@ -167,14 +169,6 @@ def loop_numbers(
     for each in (kinds, array, numbers):
         each.setflags(write=False)
     return LoopNumbers(kinds, array, numbers)
-
-
-def _ancestors(tree: Sequence[Joint], link: int) -> list[int]:
-    chain: list[int] = []
-    while link != ROOT:
-        chain.append(link)
-        link = tree[link].parent
-    return chain[::-1]
 
 
 def _size(tree: Sequence[Joint], ways: tuple[list[int], list[int]], row: Array) -> float:

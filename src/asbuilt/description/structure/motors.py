@@ -17,7 +17,7 @@ from asbuilt.description.structure.parts import (
     Link,
     Mimic,
 )
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 
 
 def coupled_joints(
@@ -33,16 +33,19 @@ def coupled_joints(
     """
     names = [joint.name for joint in joints]
     for name, mimic in moved.items():
-        if name not in names:
-            raise DescriptionError(
+        refuse(
+            DescriptionError,
+            (
+                name not in names,
                 f"a coupling moves joint {name!r}, which does not exist; the joints are"
-                f" {', '.join(names)}"
-            )
-        if name in mimic.factors and name not in motors:
-            raise DescriptionError(
+                f" {', '.join(names)}",
+            ),
+            (
+                name in mimic.factors and name not in motors,
                 f"the coupling of joint {name!r} has it move with itself; name the motor that moves"
-                " it, which needs [[motors]] if it is no joint"
-            )
+                " it, which needs [[motors]] if it is no joint",
+            ),
+        )
         for source in mimic.factors:
             if source not in names and source not in motors:
                 raise DescriptionError(

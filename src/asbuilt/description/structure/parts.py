@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -190,6 +190,15 @@ class Joint:
         return self.kind != "prismatic"
 
 
+def ancestors(joints: Sequence[Joint], link: int) -> list[int]:
+    """Return the links from the root to a link, itself included, by the joints that move them."""
+    chain: list[int] = []
+    while link != ROOT:
+        chain.append(link)
+        link = joints[link].parent
+    return chain[::-1]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
     """One moving rigid body.
@@ -205,6 +214,21 @@ class Link:
     inertia_known: bool = True
     parts: tuple[tuple[str, LinkInertia], ...] = ()
     negligible: bool = False
+
+    @classmethod
+    def of_parts(
+        cls, name: str, parts: Sequence[tuple[str, LinkInertia]], *, known: bool = True
+    ) -> Link:
+        """Return the link of bodies that fixed joints hold together, all in the link's frame.
+
+        A single body that has the link's name is no part of its own. Without bodies the inertia is
+        zero, which is `known` or stands for one that is not given.
+        """
+        total = LinkInertia(
+            np.sum([inertia.parameters for _, inertia in parts] or [np.zeros(10)], 0)
+        )
+        merged = [part for part, _ in parts] not in ([], [name])
+        return cls(name, total, inertia_known=known, parts=tuple(parts) if merged else ())
 
     @property
     def has_mass(self) -> bool:
@@ -235,13 +259,13 @@ class Frame:
 class Contact:
     """Name a frame at which the ground, or anything else, may push the robot.
 
-    A force acts `radius` [m] below its origin, as under a ball; of a `flat` one a moment too, as
-    under the sole of a foot.
+    A force acts `radius` [m] below its origin, as under a ball, or at it where the radius is not
+    stated; of a `flat` one a moment too, as under the sole of a foot.
     """
 
     frame: str
     flat: bool = False
-    radius: float = 0.0
+    radius: float | None = None
 
     @classmethod
     def parse(cls, text: str) -> tuple[Contact, ...]:
@@ -271,7 +295,7 @@ class Contact:
         return cls(name, radius=radius) if 0.0 <= radius < np.inf else None
 
     def __str__(self) -> str:
-        kind = "flat" if self.flat else f"{self.radius!r}" if self.radius else ""
+        kind = "flat" if self.flat else "" if self.radius is None else f"{self.radius!r}"
         return f"{self.frame}:{kind}" if kind else self.frame
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.structure.parts import ROOT, Joint
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, refuse
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
@@ -125,16 +125,19 @@ def _across(model: RobotModel, spring: Spring) -> tuple[int, dict[str, float]]:
             " described"
         )
     joint = model.moving_joints[other]
-    if other >= model.n_joints or joint.mimic is not None:
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (
+            other >= model.n_joints or joint.mimic is not None,
             f"{spring} is at joint {joint.name_in_tree!r}, which has no motor of its own; describe"
-            " the spring at a joint that one moves alone"
-        )
-    if not joint.is_revolute:
-        raise DescriptionError(
+            " the spring at a joint that one moves alone",
+        ),
+        (
+            not joint.is_revolute,
             f'{spring} is at joint {joint.name!r}, which slides; give kind = "torsion" with the'
-            " position at which the spring is at rest"
-        )
+            " position at which the spring is at rest",
+        ),
+    )
     return other, _about_axis(spring, joint, at_one, at_other)
 
 
@@ -159,20 +162,23 @@ def _about_axis(spring: Spring, joint: Joint, below: Array, above: Array) -> dic
     turning = joint.after[:3, :3] @ above + joint.after[:3, 3]
     inner, outer = (float(math.hypot(*end[:2])) for end in (at_rest, turning))
     axial = float(abs(turning[2] - at_rest[2]))
-    if min(inner, outer) < ON_AXIS:
-        raise DescriptionError(
-            f"an end of {spring} is on the axis of joint {joint.name!r}, {min(inner, outer):.3g} m"
-            " from it, where it has no torque; check point_a and point_b"
-        )
     angle = math.atan2(turning[1], turning[0]) - math.atan2(at_rest[1], at_rest[0])
     meets = math.remainder(-angle, 2.0 * math.pi)
     low, high = joint.limits.lower, joint.limits.upper
     reached = [meets + turn for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi)]
-    if math.hypot(inner - outer, axial) < ON_AXIS and any(low <= q <= high for q in reached):
-        raise DescriptionError(
+    refuse(
+        DescriptionError,
+        (
+            min(inner, outer) < ON_AXIS,
+            f"an end of {spring} is on the axis of joint {joint.name!r}, {min(inner, outer):.3g} m"
+            " from it, where it has no torque; check point_a and point_b",
+        ),
+        (
+            math.hypot(inner - outer, axial) < ON_AXIS and any(low <= q <= high for q in reached),
             f"the ends of {spring} coincide at position {meets:.3f} of joint {joint.name!r}, within"
-            " its limits; there the spring has no direction: check point_a and point_b"
-        )
+            " its limits; there the spring has no direction: check point_a and point_b",
+        ),
+    )
     rate = {"rate": spring.progression} if spring.kind == "cylinder" else {}
     return rate | {
         "inner": inner,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,6 +31,7 @@ SMALL = 1e3 * RANK_TOLERANCE
 POSTURES = 12
 """Random postures of a closed chain from which it follows how its links move."""
 SEED = 20153
+MOMENTS = ("mx", "my", "mz")
 LISTED_NAMES = 4
 """So many names are spelt out before a sentence says how many more there are."""
 
@@ -70,30 +71,38 @@ def parameter_verdicts(
 ) -> tuple[StandardParameter, ...]:
     """Return the verdict on every standard parameter, in id order."""
     views = [_link_view(found, i) for i in range(model.n_joints)]
-    verdicts = []
-    for j, name in enumerate(names):
-        rows = [int(b) for b in np.flatnonzero(found.matrix[:, j])]
-        members = tuple(int(found.columns[b]) + 1 for b in rows)
-        alone = len(rows) == 1 and np.count_nonzero(found.matrix[rows[0]]) == 1
-        status: Status = "unidentifiable" if not members else "identifiable" if alone else "grouped"
-        shown = (
-            _shown_in(found.columns, found.matrix, names, j, rows) if status == "grouped" else ""
-        )
-        if j < 10 * model.n_links:
-            link, symbol = j // 10, PARAMETER_NAMES[j % 10]
-            if status == "unidentifiable":
-                reason = _never(model, views[link], symbol)
-            elif status == "identifiable":
-                reason = _alone(views[link], symbol)
-            else:
-                reason = _in_sums(model, found, views, j, symbol) + shown
-        else:
+
+    def reason(j: int, status: Status) -> str:
+        if j >= 10 * model.n_links:
             joint, position = divmod(j - 10 * model.n_links, drive.columns_per_joint)
-            reason = _of_richer_drive(drive, joint, position, status) or _of_drive(
+            return _of_richer_drive(drive, joint, position, status) or _of_drive(
                 model, views, joint, symbol=drive.symbols[position], status=status
             )
-            reason += shown
-        sentence = f"{name}: {STATEMENTS[status]}: {reason}"
+        link, symbol = j // 10, PARAMETER_NAMES[j % 10]
+        if status == "grouped":
+            return _in_sums(model, found, views, j, symbol)
+        if status == "identifiable":
+            return _alone(views[link], symbol)
+        return _never(model, views[link], symbol)
+
+    return _verdicts(found.columns, found.matrix, names, reason)
+
+
+def _verdicts(
+    columns: Indices,
+    matrix: Array,
+    names: Sequence[str],
+    reason: Callable[[int, Status], str],
+) -> tuple[StandardParameter, ...]:
+    """Return a verdict for each column of a regrouping matrix; `reason` says why."""
+    verdicts = []
+    for j, name in enumerate(names):
+        rows = [int(b) for b in np.flatnonzero(matrix[:, j])]
+        alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
+        status: Status = "unidentifiable" if not rows else "identifiable" if alone else "grouped"
+        shown = _shown_in(columns, matrix, names, j, rows) if status == "grouped" else ""
+        sentence = f"{name}: {STATEMENTS[status]}: {reason(j, status)}{shown}"
+        members = tuple(int(columns[b]) + 1 for b in rows)
         verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
     return tuple(verdicts)
 
@@ -121,24 +130,19 @@ def numeric_verdicts(
         "identifiable": "no other parameter has the same effect on the torques",
         "grouped": "others have the same effect on the torques of the joints that have a drive",
     }
-    verdicts = []
-    for j, name in enumerate(names):
-        rows = [int(b) for b in np.flatnonzero(matrix[:, j])]
-        alone = len(rows) == 1 and np.count_nonzero(matrix[rows[0]]) == 1
-        status: Status = "unidentifiable" if not rows else "identifiable" if alone else "grouped"
-        shown = _shown_in(columns, matrix, names, j, rows) if status == "grouped" else ""
-        reason = reasons[status]
-        if views and j < 10 * model.n_links:
-            view = views[j // 10]
-            if status == "unidentifiable" and not model.links[j // 10].negligible:
-                reason = _never(model, view, PARAMETER_NAMES[j % 10])
-            elif status == "grouped":
-                together = np.flatnonzero(matrix[rows].any(axis=0))
-                reason = _in_loop(model, j // 10, together) or reason
-        sentence = f"{name}: {STATEMENTS[status]}: {reason}{shown}"
-        members = tuple(int(columns[b]) + 1 for b in rows)
-        verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
-    return tuple(verdicts)
+
+    def reason(j: int, status: Status) -> str:
+        link, usual = j // 10, reasons[status]
+        if not views or link >= model.n_links:
+            return usual
+        if status == "unidentifiable" and not model.links[link].negligible:
+            return _never(model, views[link], PARAMETER_NAMES[j % 10])
+        if status == "grouped":
+            together = np.flatnonzero(matrix[matrix[:, j] != 0.0].any(axis=0))
+            return _in_loop(model, link, together) or usual
+        return usual
+
+    return _verdicts(columns, matrix, names, reason)
 
 
 def _closed_views(model: RobotModel) -> list[_LinkView]:
@@ -154,13 +158,10 @@ def _closed_views(model: RobotModel) -> list[_LinkView]:
         in_root = row_space(np.concatenate([*(poses[:, k, :3, :3] @ twists[:, k, :3])], axis=1).T)
         turns, screws = len(directions), len(row_space(own))
         slope = _slope(model, in_root[0]) if len(in_root) == 1 else ""
-        if turns == 0:
-            phrase = f"link {k + 1} never turns"
-        elif turns == 1:
-            axes = f"{_a(slope)} axis" if screws == 1 and slope else "parallel axes"
-            phrase = f"link {k + 1} only turns about {axes}"
-        else:
-            phrase = f"link {k + 1} turns about axes of {'two' if turns == 2 else 'all'} directions"
+        axes = f"{_a(slope)} axis" if screws == 1 and slope else "parallel axes"
+        several = f"turns about axes of {'two' if turns == 2 else 'all'} directions"
+        ways = {0: "never turns", 1: f"only turns about {axes}"}
+        phrase = f"link {k + 1} {ways.get(turns, several)}"
         moves = bool(np.abs(own[:, 3:]).max(initial=0.0) > SMALL)
         axis = directions[0] if turns == 1 else np.zeros(3)
         views.append(_LinkView(k + 1, phrase, turns, screws, axis, moves))
@@ -216,7 +217,7 @@ def _slope(model: RobotModel, axis: Array) -> str:
 
 
 def _a(word: str) -> str:
-    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+    return f"an {word}" if word[:1] in set("aeiou") else f"a {word}"
 
 
 def _link_view(found: Regrouping, link: int) -> _LinkView:
@@ -229,30 +230,28 @@ def _link_view(found: Regrouping, link: int) -> _LinkView:
     chain = model.ancestors(link)
     turning = [i for i in chain if model.joints[i].is_revolute]
     name = f"link {link + 1}"
-    if not turning:
-        slides = row_space(np.array([_axis_at_rest(model, i) for i in chain]))
-        if len(slides) == 1:
-            phrase = f"{name} only slides along {_a(_slope(model, slides[0]))} line and never turns"
-        else:
-            phrase = (
-                f"{name} only slides, {'in a plane' if len(slides) == 2 else 'in all directions'},"
-                " and never turns"
-            )
-    elif len(directions) == 1:
-        slope = _slope(model, _axis_at_rest(model, turning[0]))
-        if len(twists) == 1:
-            phrase = f"{name} only turns about {_a(slope)} axis"
-        elif len(turning) < len(chain):
-            phrase = (
-                f"{name} slides, but turns only about {'parallel' if slope == 'fixed' else slope}"
-                " axes"
-            )
-        else:
-            phrase = (
-                f"{name} only turns about {'' if slope == 'fixed' else slope + ', '}parallel axes"
-            )
-    else:
-        phrase = f"{name} turns about axes of {'two' if len(directions) == 2 else 'all'} directions"
+    slides = row_space(np.array([_axis_at_rest(model, i) for i in chain]))
+    slope = _slope(model, _axis_at_rest(model, turning[0])) if turning else ""
+    fixed, parallel = slope == "fixed", len(directions) == 1
+    phrases = (
+        (
+            not turning and len(slides) == 1,
+            f"only slides along {_a(_slope(model, slides[0]))} line and never turns",
+        ),
+        (
+            not turning,
+            f"only slides, {'in a plane' if len(slides) == 2 else 'in all directions'},"
+            " and never turns",
+        ),
+        (parallel and len(twists) == 1, f"only turns about {_a(slope)} axis"),
+        (
+            parallel and len(turning) < len(chain),
+            f"slides, but turns only about {'parallel' if fixed else slope} axes",
+        ),
+        (parallel, f"only turns about {'' if fixed else slope + ', '}parallel axes"),
+        (True, f"turns about axes of {'two' if len(directions) == 2 else 'all'} directions"),
+    )
+    phrase = f"{name} {next(phrase for holds, phrase in phrases if holds)}"
     axis = directions[0] if len(directions) == 1 else np.zeros(3)
     return _LinkView(
         link + 1,
@@ -265,49 +264,54 @@ def _link_view(found: Regrouping, link: int) -> _LinkView:
 
 
 def _never(model: RobotModel, view: _LinkView, symbol: str) -> str:
-    weightless = not np.any(model.gravity)
-    if symbol.startswith("I"):
-        if view.turns == 0:
-            return f"{view.phrase}, so its moments of inertia have no effect on the torques"
-        if view.turns == 1:
-            return (
-                f"{view.phrase}, so only its inertia about"
-                f" {'that axis' if view.screws == 1 else 'that direction'} has an effect"
-            )
-        return (
-            f"{view.phrase}, but no motion excites this"
-            f" {'moment' if symbol[1] == symbol[2] else 'product'} of inertia"
-        )
-    if symbol == "m":
-        still = (
-            "the origin of its frame lies on that axis"
-            if view.turns == view.screws == 1
-            else "the origin of its frame never moves"
-        )
-        return f"{view.phrase} and {still}, so its mass requires no torque"
-    if view.turns == 0:
-        return f"{view.phrase}, so the position of its mass has no effect on the torques"
-    component = np.array([symbol == "mx", symbol == "my", symbol == "mz"], dtype=np.float64)
-    if view.turns == 1 and abs(float(view.axis @ component)) > 1.0 - SMALL:
-        return (
-            f"{view.phrase}, so the position of its mass along"
-            f" {'that axis' if view.screws == 1 else 'this direction'} has no effect"
-        )
+    inertia, product = symbol.startswith("I"), symbol in ("Ixy", "Ixz", "Iyz")
+    about_one = view.turns == view.screws == 1
+    along = float(view.axis @ np.array([symbol == each for each in MOMENTS], dtype=np.float64))
+    still = "lies on that axis" if about_one else "never moves"
     work = (
-        "there is no gravity"
-        if weightless
-        else "gravity does no work on this part of its first moment"
+        "gravity does no work on this part of its first moment"
+        if np.any(model.gravity)
+        else "there is no gravity"
     )
-    if view.origin_moves:
-        return (
-            f"{view.phrase}, {work}, and its inertia about its axes of motion does not depend on it"
-        )
-    if view.turns == view.screws == 1:
-        return (
-            f"{view.phrase} through the origin of its frame and {work}, so the position of its"
-            " mass has an effect only through its inertia about that axis"
-        )
-    return f"{view.phrase}, but the origin of its frame never moves and {work}"
+    reasons = (
+        (
+            inertia and view.turns == 0,
+            ", so its moments of inertia have no effect on the torques",
+        ),
+        (
+            inertia and view.turns == 1,
+            ", so only its inertia about"
+            f" {'that axis' if view.screws == 1 else 'that direction'} has an effect",
+        ),
+        (
+            inertia,
+            f", but no motion excites this {'product' if product else 'moment'} of inertia",
+        ),
+        (
+            symbol == "m",
+            f" and the origin of its frame {still}, so its mass requires no torque",
+        ),
+        (
+            view.turns == 0,
+            ", so the position of its mass has no effect on the torques",
+        ),
+        (
+            view.turns == 1 and abs(along) > 1.0 - SMALL,
+            ", so the position of its mass along"
+            f" {'that axis' if view.screws == 1 else 'this direction'} has no effect",
+        ),
+        (
+            view.origin_moves,
+            f", {work}, and its inertia about its axes of motion does not depend on it",
+        ),
+        (
+            about_one,
+            f" through the origin of its frame and {work}, so the position of its"
+            " mass has an effect only through its inertia about that axis",
+        ),
+        (True, f", but the origin of its frame never moves and {work}"),
+    )
+    return view.phrase + next(reason for holds, reason in reasons if holds)
 
 
 def _alone(view: _LinkView, symbol: str) -> str:
@@ -332,19 +336,19 @@ def _in_sums(
     ]
     if givers and (column in found.columns or not mine.any()):
         return _gathered(model, link, givers)
-    if parent == ROOT:
-        if _bears_weight(model, link, symbol):
-            return (
-                f"{views[link].phrase}, so it has an effect only through its inertia about that"
-                " axis and the torque of gravity about it, which other parameters have too"
-            )
-        if np.abs(own[mine, 10 * model.n_links :]).max(initial=0.0) > SMALL:
-            return (
-                f"{views[link].phrase}, so its effect on joint {link + 1} is that of a drive"
-                " parameter"
-            )
-        return f"{views[link].phrase}, so it has an effect only through its inertia about that axis"
-    return _moved_to_parent(model, found, views, column, symbol)
+    if parent != ROOT:
+        return _moved_to_parent(model, found, views, column, symbol)
+    of_drive = np.abs(own[mine, 10 * model.n_links :]).max(initial=0.0) > SMALL
+    reasons = (
+        (
+            _bears_weight(model, link, symbol),
+            "it has an effect only through its inertia about that axis and the torque of gravity"
+            " about it, which other parameters have too",
+        ),
+        (of_drive, f"its effect on joint {link + 1} is that of a drive parameter"),
+        (True, "it has an effect only through its inertia about that axis"),
+    )
+    return f"{views[link].phrase}, so {next(reason for holds, reason in reasons if holds)}"
 
 
 def _bears_weight(model: RobotModel, link: int, symbol: str) -> bool:
@@ -364,14 +368,10 @@ def _bears_weight(model: RobotModel, link: int, symbol: str) -> bool:
 def _gathered(model: RobotModel, link: int, givers: Sequence[int]) -> str:
     turning = all(model.joints[child].is_revolute for child in givers)
     unchanged = "does not change as it turns" if turning else "does not change as it moves"
-    if len(givers) == 1:
-        return (
-            f"link {link + 1} carries link {givers[0] + 1}, of which the part that {unchanged} has"
-            f" the effect of a part of link {link + 1}"
-        )
+    carried = f"link{'s' * (len(givers) > 1)} {_listed([str(child + 1) for child in givers])}"
     return (
-        f"link {link + 1} carries links {_listed([str(child + 1) for child in givers])}, of which"
-        f" the part that {unchanged} has the effect of a part of link {link + 1}"
+        f"link {link + 1} carries {carried}, of which the part that {unchanged} has the effect of a"
+        f" part of link {link + 1}"
     )
 
 
@@ -382,53 +382,55 @@ def _moved_to_parent(
     joint, number = model.joints[link], link + 1
     axis, parent = f"the axis of joint {number}", f"link {joint.parent + 1}"
     kind = 0 if symbol == "m" else 1 if symbol.startswith("m") else 2
-    if not joint.is_revolute and kind == 2:
-        return (
-            f"joint {number} slides, so link {number} always turns with {parent} and their inertias"
-            " add up"
-        )
+    turns, above = joint.is_revolute, views[joint.parent].phrase
     axial = np.abs(found.axial_blocks[link][:, column % 10]) > SMALL
-    if joint.is_revolute and axial[2]:
-        return (
-            f"equal inertias about the two directions perpendicular to {axis} are the same at every"
-            f" angle of joint {number}, so they have the effect of an inertia of {parent}"
-        )
-    if joint.is_revolute and column in found.columns:
-        summed = (
-            found.matrix[int(np.searchsorted(found.columns, column)), 10 * link : 10 * link + 10]
-            != 0.0
-        )
-        for present, what, short in (
-            (axial[0] and summed[9], f"a mass on {axis}", "mass"),
-            (axial[1] and summed[6:9].any(), f"a first moment along {axis}", "first moment"),
-        ):
-            if present:
-                return (
-                    f"{what} has the effect of one of {parent}; the other effects of the"
-                    f" {short} are those of {symbol}{number}"
-                )
-    if joint.is_revolute and axial[kind]:
-        if kind == 0:
-            return (
-                f"a mass on {axis} moves with {parent} whatever joint {number} does, so the mass of"
-                f" link {number} is not separable from {parent}"
-            )
-        return (
-            f"a first moment along {axis} does not change as joint {number} turns, so it has the"
-            f" effect of one of {parent}"
-        )
+    own = found.matrix[found.columns == column, 10 * link : 10 * link + 10]
+    summed = turns & (own != 0.0).any(axis=0)  # nothing where the column is not kept
     block = found.null_blocks[link]
-    mine = np.abs(block[:, column]) > SMALL
-    if np.abs(block[mine, 10 * model.n_links :]).max(initial=0.0) > SMALL:
-        return (
-            f"{views[joint.parent].phrase}, never along {axis}, so a drive parameter of joint"
-            f" {number} has the same effect"
-        )
-    moves = np.abs(block[mine, 10 * joint.parent : 10 * joint.parent + 10]).max(initial=0.0) > SMALL
-    return (
-        f"{views[joint.parent].phrase}, so this parameter of link {number} is not separable from"
-        f" {f'those of {parent}' if moves else 'its others'}"
+    moved = np.abs(block[np.abs(block[:, column]) > SMALL]).max(axis=0, initial=0.0) > SMALL
+    reasons = (
+        (
+            not turns and kind == 2,
+            f"joint {number} slides, so link {number} always turns with {parent} and their inertias"
+            " add up",
+        ),
+        (
+            turns and axial[2],
+            f"equal inertias about the two directions perpendicular to {axis} are the same at every"
+            f" angle of joint {number}, so they have the effect of an inertia of {parent}",
+        ),
+        (
+            axial[0] and summed[9],
+            f"a mass on {axis} has the effect of one of {parent}; the other effects of the"
+            f" mass are those of {symbol}{number}",
+        ),
+        (
+            axial[1] and summed[6:9].any(),
+            f"a first moment along {axis} has the effect of one of {parent}; the other effects of"
+            f" the first moment are those of {symbol}{number}",
+        ),
+        (
+            turns and axial[kind] and kind == 0,
+            f"a mass on {axis} moves with {parent} whatever joint {number} does, so the mass of"
+            f" link {number} is not separable from {parent}",
+        ),
+        (
+            turns and axial[kind],
+            f"a first moment along {axis} does not change as joint {number} turns, so it has the"
+            f" effect of one of {parent}",
+        ),
+        (
+            moved[10 * model.n_links :].any(),
+            f"{above}, never along {axis}, so a drive parameter of joint {number} has the same"
+            " effect",
+        ),
+        (
+            moved[10 * joint.parent : 10 * joint.parent + 10].any(),
+            f"{above}, so this parameter of link {number} is not separable from those of {parent}",
+        ),
+        (True, f"{above}, so this parameter of link {number} is not separable from its others"),
     )
+    return next(reason for holds, reason in reasons if holds)
 
 
 def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status) -> str:
@@ -437,68 +439,64 @@ def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status)
     Empty if neither is the case.
     """
     term = [term for term in drive.terms for _ in term.symbols][position]
-    if not term.is_at(joint):
-        return f"joint {joint + 1} is not among the joints for which {term.key} was chosen"
-    if term.of_motor and status == "unidentifiable":
-        return (
-            f"motor {joint + 1} turns with joint {joint + 1} alone, where"
-            f" {term.key.removeprefix('motor_')} has the same effect"
-        )
-    if term.of_motor and status == "grouped":
-        return (
-            f"motor {joint + 1} turns as a link does, so its rotor has the effect of an inertia of"
-            " that link"
-        )
-    if term.key == "balancer" and status == "grouped":
-        return (
-            f"gravity has a fixed direction at joint {joint + 1}, so a first moment of link"
-            f" {joint + 1} has the same effect as its balancer"
-        )
-    if term.key.startswith("asymmetric") and status == "grouped":
-        return f"other drive terms of joint {joint + 1} give the same torque"
-    return ""
+    grouped, number = status == "grouped", joint + 1
+    reasons = (
+        (
+            not term.is_at(joint),
+            f"joint {number} is not among the joints for which {term.key} was chosen",
+        ),
+        (
+            term.of_motor and status == "unidentifiable",
+            f"motor {number} turns with joint {number} alone, where"
+            f" {term.key.removeprefix('motor_')} has the same effect",
+        ),
+        (
+            term.of_motor and grouped,
+            f"motor {number} turns as a link does, so its rotor has the effect of an inertia of"
+            " that link",
+        ),
+        (
+            term.key == "balancer" and grouped,
+            f"gravity has a fixed direction at joint {number}, so a first moment of link"
+            f" {number} has the same effect as its balancer",
+        ),
+        (
+            term.key.startswith("asymmetric") and grouped,
+            f"other drive terms of joint {number} give the same torque",
+        ),
+    )
+    return next((reason for holds, reason in reasons if holds), "")
 
 
 def _of_drive(
     model: RobotModel, views: Sequence[_LinkView], joint: int, *, symbol: str, status: Status
 ) -> str:
-    number = joint + 1
-    parent = model.joints[joint].parent
+    number, parent = joint + 1, model.joints[joint].parent
     turns = model.joints[joint].is_revolute
-    if symbol == "Fv":
-        return (
-            f"its torque is proportional to the velocity of joint {number} and dissipates power,"
-            " which that of no inertia does"
-        )
-    if symbol == "Fc":
-        return (
-            f"no other parameter has a torque proportional to the sign of the velocity of joint"
-            f" {number}"
-        )
-    if symbol == "Fo":
-        if status == "identifiable":
-            kind = "torque" if turns else "force"
-            return f"no other parameter gives joint {number} a constant {kind}"
-        return (
-            f"joint {number} slides at a constant slope, so the weight it carries is constant, too"
-        )
-    if symbol == "Ia" and status == "identifiable":
-        return (
-            f"it has an effect on joint {number} alone, the inertia of link {number} also on the"
-            f" motion of link {parent + 1}"
-        )
-    if symbol == "Ia":
-        ahead = (
-            f"the axis of joint {number} is fixed"
-            if parent == ROOT
-            else f"{views[parent].phrase}, never along the axis of joint {number}"
-        )
-        return (
-            f"{ahead}, so the armature has the effect of"
-            f" {'an inertia of link' if turns else 'a mass of link'} {number}"
-        )
-    return (
-        f"its torque at joint {number} differs from that of every other parameter"
-        if status == "identifiable"
-        else f"other parameters give the same torque at joint {number}"
+    ahead = (
+        f"the axis of joint {number} is fixed"
+        if parent == ROOT
+        else f"{views[parent].phrase}, never along the axis of joint {number}"
     )
+    alone = {
+        "Fo": f"no other parameter gives joint {number} a constant"
+        f" {'torque' if turns else 'force'}",
+        "Ia": f"it has an effect on joint {number} alone, the inertia of link {number} also on the"
+        f" motion of link {parent + 1}",
+        "": f"its torque at joint {number} differs from that of every other parameter",
+    }
+    shared = {
+        "Fo": f"joint {number} slides at a constant slope, so the weight it carries is constant,"
+        " too",
+        "Ia": f"{ahead}, so the armature has the effect of"
+        f" {'an inertia of link' if turns else 'a mass of link'} {number}",
+        "": f"other parameters give the same torque at joint {number}",
+    }
+    reasons = {
+        "Fv": f"its torque is proportional to the velocity of joint {number} and dissipates power,"
+        " which that of no inertia does",
+        "Fc": "no other parameter has a torque proportional to the sign of the velocity of joint"
+        f" {number}",
+        **(alone if status == "identifiable" else shared),
+    }
+    return reasons.get(symbol, reasons[""])

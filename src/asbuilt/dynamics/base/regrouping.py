@@ -11,7 +11,6 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import inverted, placement
-from asbuilt.dynamics.base.axis_frames import nearest_origins, same_build
 from asbuilt.dynamics.base.observation_rank import negligible_columns
 from asbuilt.dynamics.base.regrouping_relations import (
     LENGTH_EXPONENTS,
@@ -22,7 +21,14 @@ from asbuilt.dynamics.base.regrouping_relations import (
     regrouping_relations,
     reversed_echelon,
 )
-from asbuilt.dynamics.base.symbols import Polynomial, Row, dependent_columns, null_rows
+from asbuilt.dynamics.base.symbols import (
+    Polynomial,
+    Row,
+    dependent_columns,
+    nearest_origins,
+    null_rows,
+    same_build,
+)
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.structure import IMITABLE, DriveStructure, drive_structure, realisable
 from asbuilt.dynamics.parameters import parameter_count
@@ -188,14 +194,10 @@ def _symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
             first + per * link + int(c): Polynomial.number(float(change[c]))
             for c in np.flatnonzero(change)
         }
-    for redundant in found.structure.redundant:
-        rows.append(
-            {
-                first + int(c): Polynomial.number(float(redundant[c]))
-                for c in np.flatnonzero(redundant)
-            }
-        )
-    return rows
+    return rows + [
+        {first + int(c): Polynomial.number(float(redundant[c])) for c in np.flatnonzero(redundant)}
+        for redundant in found.structure.redundant
+    ]
 
 
 def _function_units(

@@ -1,20 +1,18 @@
-"""Polynomials in symbols for lengths.
-
-The regrouping of parameters, written so that it holds for every robot of the same build.
-"""
+"""Polynomials in symbols for lengths, and joint frames placed so that few lengths remain."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import prod
 
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.lengths import rotated_symbols
+from asbuilt.description.lengths import added_symbols, length_values, rotated_symbols
 from asbuilt.description.model import RobotModel, Symbols
-from asbuilt.dynamics.base.axis_frames import NUMBER, symbolic_translation
+from asbuilt.description.rotation import placement
 from asbuilt.dynamics.base.regrouping_relations import (
     LENGTH_EXPONENTS,
     SHIFT_LINEAR,
@@ -24,11 +22,81 @@ from asbuilt.dynamics.base.regrouping_relations import (
     shift_of_rotation,
 )
 
+NUMBER = ""
+"""The symbol that stands for 1, so that a plain length is a sum of symbols, too."""
+
+LENGTH_TOLERANCE = 1e-12
+"""Symbols must stand for the lengths of a placement to this [m]."""
+
+
 Monomial = tuple[str, ...]
 """The symbols of a product, sorted; a square has its symbol twice, the empty product is 1."""
-
 COEFFICIENT_TOLERANCE = 1e-12
 """A coefficient below this is rounding; coefficients are plain numbers such as 1, 2 or a cosine."""
+
+
+def symbolic_translation(
+    transform: Array, symbols: Symbols | None, lengths: Mapping[str, float]
+) -> Symbols:
+    """Return the symbols of a placement's translation, or its numbers.
+
+    The latter where it has no symbols or their values differ.
+    """
+    translation = transform[:3, 3]
+    if (
+        symbols is not None
+        and np.abs(length_values(symbols, {**lengths, NUMBER: 1.0}) - translation).max()
+        < LENGTH_TOLERANCE
+    ):
+        return symbols
+    return tuple(((float(value), NUMBER),) if value else () for value in translation)
+
+
+def nearest_origins(model: RobotModel) -> RobotModel:
+    """Return the same robot with every joint frame slid along its axis.
+
+    Each goes to the point nearest the origin of the parent link.
+
+    The motion commutes with a translation along its axis: `before (1, z d) motion(q) after = before
+    motion(q) (1, z d) after`.
+    """
+    values = {**model.lengths, NUMBER: 1.0}
+    joints = []
+    for joint in model.joints:
+        z = joint.before[:3, 2]
+        before = symbolic_translation(joint.before, joint.before_symbols, model.lengths)
+        after = symbolic_translation(joint.after, joint.after_symbols, model.lengths)
+        before_slid = added_symbols(before, rotated_symbols(-np.outer(z, z), before))
+        after_slid = added_symbols(after, rotated_symbols(np.vstack([np.zeros((2, 3)), z]), before))
+        joints.append(
+            replace(
+                joint,
+                before=placement(joint.before[:3, :3], length_values(before_slid, values)),
+                after=placement(joint.after[:3, :3], length_values(after_slid, values)),
+                before_symbols=before_slid,
+                after_symbols=after_slid,
+            )
+        )
+    return replace(model, joints=tuple(joints))
+
+
+def same_build(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
+    """Return the robot with other values for the symbols of its joints."""
+    values = {**lengths, NUMBER: 1.0}
+    joints = []
+    for joint in model.joints:
+        before, after = (
+            placement(
+                transform[:3, :3],
+                length_values(symbolic_translation(transform, symbols, model.lengths), values),
+            )
+            for transform, symbols in (
+                (joint.before, joint.before_symbols),
+                (joint.after, joint.after_symbols),
+            )
+        )
+        joints.append(replace(joint, before=before, after=after))
+    return replace(model, joints=tuple(joints), lengths=dict(lengths))
 
 
 class Polynomial:
@@ -81,9 +149,7 @@ class Polynomial:
     @property
     def constant(self) -> float | None:
         """The value of a polynomial without symbols, None where there are symbols."""
-        if any(self.terms):
-            return None
-        return self.terms.get((), 0.0)
+        return None if any(self.terms) else self.terms.get((), 0.0)
 
     def value(self, lengths: Mapping[str, float]) -> float:
         """Return the value at given lengths."""

@@ -89,10 +89,10 @@ class DriveTerm:
     """Formula (`drives.formula`) of each column; `q`, `qd`, `qdd` of the motor for `of_motor`."""
     formula: ClassVar[str]
     """The torque in mathematical notation."""
-    revolute_units: ClassVar[tuple[str, ...]]
-    """Unit of each parameter at a revolute joint."""
-    prismatic_units: ClassVar[tuple[str, ...]]
-    """Unit of each parameter at a prismatic joint."""
+    revolute_units: ClassVar[tuple[str, ...]] = ()
+    """Unit of each parameter at a revolute joint; all N m if empty."""
+    prismatic_units: ClassVar[tuple[str, ...]] = ()
+    """Unit of each parameter at a prismatic joint; all N if empty."""
     nonlinear: ClassVar[tuple[NonlinearParameter, ...]] = ()
     cause: ClassVar[str | None] = None
     """Physical cause of a difference to the design that the term stands for."""
@@ -126,7 +126,7 @@ class DriveTerm:
                 f" {', '.join(sorted(known))}"
             )
         cls.needs_load, cls.by_position = "load" in used, "q" in used
-        cls.title = cls.title or cls.key.replace("_", " ")
+        cls.title = cls.__dict__.get("title") or cls.key.replace("_", " ")
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write the columns of one joint into `out` (len(symbols), n_samples).
@@ -159,7 +159,8 @@ class DriveTerm:
 
     def units(self, *, revolute: bool) -> tuple[str, ...]:
         """Return the unit of each parameter."""
-        return self.revolute_units if revolute else self.prismatic_units
+        units, force = (self.revolute_units, "N m") if revolute else (self.prismatic_units, "N")
+        return units or (force,) * len(self.symbols)
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
         """Return the value of each parameter in the description, None where it has none."""

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, ValidationError
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.appearance import link_solids
 from asbuilt.description.formats.xml import described_text, extents, numbers, parsed_xml
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
 from asbuilt.errors import DescriptionError, MissingExtraError
-from asbuilt.excitation.motions.motion import read_only
 from asbuilt.untrusted import parsed_toml, read_text, reason
 
 CLEARANCE = 0.02

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -13,12 +14,19 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.capsules import Surroundings, neighbours, surroundings
 from asbuilt.excitation.collision.distances import nearest_on_segments, nearest_to_box
+from asbuilt.excitation.information.information import random_states
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.state_bounds import random_states
+from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE
 from asbuilt.excitation.state_constraint import StateConstraint
+from asbuilt.findings import Cure
 
 SOFTNESS = 0.1
 """Distance beyond the clearance over which a body matters to a design [m]."""
+
+
+POSES_AT_ONCE = 4000
+"""Poses evaluated together, for memory."""
 
 
 class CollisionGuard(StateConstraint):
@@ -69,7 +77,8 @@ class CollisionGuard(StateConstraint):
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return v of every pair, (N, pairs)."""
-        return self._softened(self._distances(q)[0])
+        beyond = self._distances(q)[0] - self._bodies.clearance
+        return np.asarray(1.0 - np.tanh(beyond / SOFTNESS))
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivative of v by q (N, pairs, n, 1), by Jacobians at nearest points."""
@@ -107,10 +116,6 @@ class CollisionGuard(StateConstraint):
         if not self.left_out:
             return ()
         return (f"NOT CHECKED, they touch in nearly every pose: {', '.join(self.left_out)}",)
-
-    def _softened(self, distances: Array) -> Array:
-        softened: Array = 1.0 - np.tanh((distances - self._bodies.clearance) / SOFTNESS)
-        return softened
 
     def _distances(self, q: Array) -> tuple[Array, Array, Array]:
         """Return distances (N, pairs), nearest axis points (N, pairs, 2, 3) and normals between."""
@@ -285,3 +290,45 @@ def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
         )
         axes[:, k], origins[:, k] = frame[:, :3, 2], frame[:, :3, 3]
     return axes, origins
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Smallest `distance` [m] between the bodies of `source` along a motion.
+
+    `obstacles` are those beside the robot, `left_out` pairs that always touch.
+    """
+
+    source: str
+    distance: float
+    obstacles: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+
+def clearance_along(model: RobotModel, motion: Motion, source: str) -> Clearance:
+    """Return the smallest distance on a 1 kHz grid between the bodies of `source`.
+
+    Raises
+    ------
+    MotionError
+        If bodies of pairs that are checked touch.
+    """
+    bodies = surroundings(model, source)
+    guard = CollisionGuard(model, bodies)
+    t = np.linspace(0.0, motion.duration, int(np.ceil(motion.duration * CHECK_RATE)) + 1)
+    nearest = [
+        guard.smallest_distance(motion.derivative(part))
+        for part in np.array_split(t, max(1, len(t) // POSES_AT_ONCE))
+    ]
+    distance = min(nearest)
+    if distance <= 0.0:
+        part = np.array_split(t, max(1, len(t) // POSES_AT_ONCE))[int(np.argmin(nearest))]
+        raise MotionError(
+            f"bodies of {source} overlap by {-1000 * distance:.0f} mm between t = {part[0]:.2f} and"
+            f" {part[-1]:.2f} s of the motion",
+            cure=Cure("design a motion that keeps them apart", {"collision": source}),
+            distance=distance,
+        )
+    return Clearance(
+        source, distance, tuple(obstacle.name for obstacle in bodies.obstacles), guard.left_out
+    )

@@ -16,19 +16,21 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.design.designed_motion import Design, describe_design, position_of
-from asbuilt.excitation.design.multistart import Deadline, SearchProgress, search_all
+from asbuilt.excitation.design.designed_motion import (
+    Design,
+    Objective,
+    describe_design,
+    position_of,
+)
+from asbuilt.excitation.design.multistart import Deadline, SearchProgress, open_pool, search_all
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.process_pool import open_pool
-from asbuilt.excitation.design.program import Objective
 from asbuilt.excitation.design.search import DesignSearch, Task
 from asbuilt.excitation.information.criteria import criterion_of
-from asbuilt.excitation.information.information import Information
+from asbuilt.excitation.information.information import Information, parameter_scale
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
-from asbuilt.excitation.state_bounds import parameter_scale
 from asbuilt.excitation.state_constraint import StateConstraint
 
 Progress = Callable[[SearchProgress], None]

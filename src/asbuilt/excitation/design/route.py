@@ -14,8 +14,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.pacing import paced_moves, violated
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
+from asbuilt.excitation.motions.point_to_point import PointToPointMotion, paced_moves, violated
 from asbuilt.excitation.state_constraint import StateConstraint
 
 NODES, NEIGHBOURS = 1000, 12
@@ -52,15 +51,6 @@ class Roadmap:
         return cls(nodes[kept], number[edges[kept[edges].all(axis=1)]])
 
 
-@dataclass(frozen=True, eq=False)
-class Route:
-    """Poses in the order of the visit, the motion through them, and its further turning poses."""
-
-    poses: Array
-    motion: PointToPointMotion
-    turns: int
-
-
 def route_through(
     poses: Array,
     roadmap: Roadmap | None,
@@ -68,8 +58,8 @@ def route_through(
     obstacles: Sequence[StateConstraint],
     loads: Sequence[StateConstraint],
     dwell: float,
-) -> Route:
-    """Return a short route through all `poses` (K, n).
+) -> tuple[Array, PointToPointMotion, int]:
+    """Return all `poses` (K, n) in the order of a short route, its motion, and its turning poses.
 
     Segments are straight in joint space if the values of `obstacles` stay below 1, else they follow
     the roadmap; without one, obstacles are not checked. The velocity is that of the bounds, or less
@@ -108,7 +98,7 @@ def route_through(
             "the route between the poses exceeds the torque limits at any speed; allow more of the"
             " torque, or use another seed"
         )
-    return Route(nodes[route][first], motion, len(route) - len(poses))
+    return nodes[route][first], motion, len(route) - len(poses)
 
 
 def short_tour(apart: Array) -> list[int]:

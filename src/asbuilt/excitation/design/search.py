@@ -12,28 +12,26 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
+from asbuilt.excitation.design.designed_motion import DesignProgram, Objective
 from asbuilt.excitation.design.interior_point import Optimum, solve
 from asbuilt.excitation.design.multistart import (
     Candidate,
     Deadline,
+    SearchPool,
     SearchProgress,
     best_first,
     search_all,
 )
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.process_pool import SearchPool
-from asbuilt.excitation.design.program import DesignProgram, Objective
-from asbuilt.excitation.information.information import mean_information
+from asbuilt.excitation.information.information import mean_information, random_states
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion, limit_array
-from asbuilt.excitation.motions.pacing import CHECK_RATE, paced_moves
 from asbuilt.excitation.motions.parametrisation import Parametrisation
-from asbuilt.excitation.motions.parametrisations.point_to_point import PointToPoint
-from asbuilt.excitation.state_bounds import random_states
-from asbuilt.excitation.state_constraint import StateConstraint
-from asbuilt.excitation.torque_limit import (
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPoint, paced_moves
+from asbuilt.excitation.state_constraint import (
     STANDING,
     PowerLimit,
+    StateConstraint,
     TorqueLimit,
     WeightLimit,
     perturbed_models,

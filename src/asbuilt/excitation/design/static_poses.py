@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
@@ -20,14 +20,16 @@ from asbuilt.excitation.collision.constraint import constraints_of
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.route import Roadmap, route_through, segments_free
 from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information
+from asbuilt.excitation.information.information import Information, limited_model
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motions.motion import read_only
-from asbuilt.excitation.motions.pacing import CHECK_RATE
-from asbuilt.excitation.motions.point_to_point import PointToPointMotion
-from asbuilt.excitation.state_bounds import limited_model
-from asbuilt.excitation.state_constraint import StateConstraint, smallest_distance
-from asbuilt.excitation.torque_limit import STANDING, TorqueLimit, WeightLimit
+from asbuilt.excitation.motions.point_to_point import CHECK_RATE, PointToPointMotion, violated
+from asbuilt.excitation.state_constraint import (
+    STANDING,
+    StateConstraint,
+    TorqueLimit,
+    WeightLimit,
+    smallest_distance,
+)
 
 MOST_POSES = 1_000
 """Most static poses; each is held for seconds."""
@@ -181,8 +183,7 @@ def design_static_poses(
         )
     poses = pool[_exchanged(_pose_rows(information, pool, kept), count)]
     poses = _refined(information, kept, bounds, [*constraints, *weight], barriers, poses)
-    route = route_through(poses, roadmap, bounds, barriers, loads, dwell)
-    poses, motion = route.poses, route.motion
+    poses, motion, turns = route_through(poses, roadmap, bounds, barriers, loads, dwell)
     total = _information(information, kept, poses)
     size = 1.0 / np.sqrt(np.diag(total))
     limited, _ = limited_model(model)
@@ -197,7 +198,7 @@ def design_static_poses(
         scaled_condition_number=float(np.sqrt(np.linalg.cond(total * np.outer(size, size)))),
         route_time=motion.duration - dwell * (count - 2),
         limits=check_motion(limited, motion),
-        turns=route.turns,
+        turns=turns,
         collision_distance=smallest_distance(constraints, states[0]),
         solve_seconds=time.monotonic() - begin,
         notes=tuple(note for each in constraints for note in each.notes(*states)),
@@ -207,11 +208,7 @@ def design_static_poses(
 def _within(constraints: Sequence[StateConstraint], poses: Array) -> Array:
     """Return the poses that keep the constraints."""
     rest = np.zeros_like(poses)
-    fine = np.ones(len(poses), dtype=bool)
-    for constraint in constraints:
-        values = constraint.values(poses, rest, rest)
-        fine &= (np.abs(values) if constraint.two_sided else values).max(axis=1) < 1
-    return poses[fine]
+    return poses[~violated(constraints, poses, rest, rest)]
 
 
 def _pose_rows(information: Information, poses: Array, kept: Array) -> Array:

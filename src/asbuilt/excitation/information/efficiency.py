@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -18,8 +18,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.information.information_bound import InformationBound, information_bound
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import read_only
-from asbuilt.excitation.torque_limit import TorqueLimit
+from asbuilt.excitation.state_constraint import TorqueLimit
 
 Limits = tuple[tuple[float, ...], ...]
 """Lower, upper, velocity, acceleration and torque limits of the joints."""

@@ -1,4 +1,4 @@
-"""Information of joint states about the base parameters, and its derivatives."""
+"""Information of joint states about the base parameters, its derivatives, and random states."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE
@@ -18,7 +18,9 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import read_only
+
+SCALING_STATES = 500
+"""Random states over which the units of the parameters are averaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +196,7 @@ class Information:
 
     def _exact_drive_columns(self, state: Sequence[Array]) -> Array:
         drive, samples, n = self.base.drive, len(state[0]), self.model.n_joints
-        if not self._differ:
+        if not any(term.differs_by_joint for term in drive.terms):
             flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
             return drive.evaluate(*flat[:3], load=flat[3] if len(flat) > 3 else None).reshape(
                 -1, samples, n
@@ -206,15 +208,6 @@ class Information:
                 *own[:3], load=own[3] if len(own) > 3 else None, joint=k
             )
         return columns
-
-    @cached_property
-    def _differ(self) -> bool:
-        """Whether a term has a nonlinear parameter of its own for each joint."""
-        return any(
-            isinstance(getattr(term, parameter.name), tuple)
-            for term in self.base.drive.terms
-            for parameter in term.nonlinear
-        )
 
     def _state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
         load = [inverse_dynamics(self.model, q, qd, qdd)] if self.base.drive.needs_load else []
@@ -264,3 +257,60 @@ def mean_information(
             information.rows(q[part], qd[part], qdd[part], smooth=False), len(q[part])
         )
     return total / len(q)
+
+
+def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
+    """Return the robot with complete limits, and the names of those that were assumed."""
+    bounds = MotionBounds.assumed(model)
+    assumed: list[str] = []
+    limits = []
+    for j, joint in enumerate(model.joints):
+        completed = replace(
+            joint.limits,
+            lower=float(bounds.lower[j]),
+            upper=float(bounds.upper[j]),
+            velocity=float(bounds.velocity[j]),
+            acceleration=float(bounds.acceleration[j]),
+        )
+        limits.append(completed)
+        given = joint.limits
+        known = {
+            "position": np.isfinite(given.lower) and np.isfinite(given.upper),
+            "velocity": np.isfinite(given.velocity),
+            "acceleration": np.isfinite(given.acceleration),
+        }
+        assumed += [
+            quantity for quantity, stated in known.items() if not stated and quantity not in assumed
+        ]
+    return model.with_limits(limits), tuple(assumed)
+
+
+def random_states(
+    bounds: MotionBounds, count: int, rng: np.random.Generator, *, extreme: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Return states (count, n), uniform within the bounds.
+
+    Velocities and accelerations sit at a limit or at zero with probability `extreme`.
+    """
+    n = bounds.lower.size
+    q = rng.uniform(bounds.lower, bounds.upper, size=(count, n))
+    found = [q]
+    for limit in (bounds.velocity, bounds.acceleration):
+        inner, corner = (
+            rng.uniform(-1, 1, size=(count, n)),
+            rng.integers(-1, 2, size=(count, n)).astype(np.float64),
+        )
+        found.append(limit * np.where(rng.uniform(size=(count, n)) < extreme, corner, inner))
+    return found[0], found[1], found[2]
+
+
+def parameter_scale(information: Information, bounds: MotionBounds) -> Array:
+    """Return the change of each base parameter (p,) that changes the torque by its noise.
+
+    The change of torque is an RMS over the state bounds.
+    """
+    states = random_states(bounds, SCALING_STATES, np.random.default_rng(0))
+    rows = information.rows(*states, smooth=False)
+    size = np.diag(information.matrix(rows, SCALING_STATES)) / SCALING_STATES
+    scale: Array = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max()))
+    return scale

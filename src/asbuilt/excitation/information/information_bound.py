@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.excitation.information.criteria import DOptimality
-from asbuilt.excitation.information.information import Information
+from asbuilt.excitation.information.information import Information, random_states
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.state_bounds import random_states
-from asbuilt.excitation.torque_limit import TorqueLimit
+from asbuilt.excitation.state_constraint import TorqueLimit
 
 States = tuple[Array, Array, Array]
 

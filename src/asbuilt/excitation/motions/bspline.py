@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline as SciPySpline
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import BasisMotion, read_only, way_point_array
+from asbuilt.excitation.motions.motion import BasisMotion, Motion, way_point_array
+from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 DEGREE = 5
@@ -54,7 +56,7 @@ class BSplineMotion(BasisMotion):
         folding[:3, 0] = 1.0
         folding[np.arange(3, m + 1), np.arange(1, m - 1)] = 1.0
         folding[m + 1 :, m - 1] = 1.0
-        self._functions = BSpline(padded, folding, DEGREE)
+        self._functions = SciPySpline(padded, folding, DEGREE)
 
     @property
     def duration(self) -> float:
@@ -85,3 +87,33 @@ class BSplineMotion(BasisMotion):
     def with_coefficients(self, coefficients: ArrayLike) -> BSplineMotion:
         """Return the motion of the same duration with other control points, shape (m, n_joints)."""
         return BSplineMotion(coefficients, self._duration)
+
+
+@dataclass(frozen=True)
+class BSpline(Parametrisation):
+    """Quintic B-spline with `size` control points, at rest at both ends (`BSplineMotion`)."""
+
+    key = "bspline"
+    size_name = "control points"
+    density = 1.0
+
+    def basis(self, t: Array, order: int) -> Array:
+        """Return the derivative of this order of the basis functions."""
+        return BSplineMotion(np.zeros((self.size, 1)), self.duration).basis(t, order)
+
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the spline."""
+        return BSplineMotion(coefficients, self.duration)
+
+    @property
+    def shortest_wave(self) -> float:
+        """About two knots [s]."""
+        return 2.0 * self.duration / max(self.size - 1, 1)
+
+    @property
+    def constant(self) -> Array:
+        """Coefficients of the constant 1: equal control points."""
+        return np.ones(self.size)
+
+
+PARAMETRISATIONS.register(BSpline.key, BSpline)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.errors import MotionError
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
@@ -256,13 +256,6 @@ class TimeScaled(Motion):
         """Return the smallest and the largest value of a derivative, two (n,)."""
         low, high = self.motion.extremes(order)
         return low / self.factor**order, high / self.factor**order
-
-
-def read_only(values: ArrayLike) -> Array:
-    """Return a read-only float64 copy."""
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
 
 
 def way_point_array(points: ArrayLike, what: str = "way points", least: int = 2) -> Array:

@@ -104,7 +104,7 @@ class Parametrisation(ABC):
 
 
 PARAMETRISATIONS: Registry[type[Parametrisation]] = Registry(
-    "parametrisation", "asbuilt.excitation.motions.parametrisations", "asbuilt.motions"
+    "parametrisation", "asbuilt.excitation.motions", "asbuilt.motions"
 )
 """Families of motions by key."""
 

@@ -1,15 +1,26 @@
-"""Point-to-point motion between poses, as controllers make it."""
+"""Point-to-point motion between poses, as controllers make it, and its pace within limits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import STANDSTILL, limit_array, way_point_array
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motions.motion import STANDSTILL, Motion, limit_array, way_point_array
+from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
+from asbuilt.excitation.state_constraint import StateConstraint
+
+CHECK_RATE = 1000.0
+"""Rate of the grid on which a motion must keep its constraints [Hz]."""
+SLOWING, SLOWEST = 0.93, 0.1
+"""By what factor a move is slowed at a time, and at which share of its speed that is given up."""
 
 
 class PointToPointMotion(PiecewisePolynomial):
@@ -98,3 +109,142 @@ class PointToPointMotion(PiecewisePolynomial):
         if not steps:
             raise MotionError("the poses are all the same and there is no dwell; nothing moves")
         return cls(np.concatenate([[0.0], np.cumsum(steps)]), np.stack(pieces, axis=1))
+
+
+@dataclass(frozen=True)
+class PointToPoint(Parametrisation):
+    """Straight moves between `size` poses; each third of a move speeds up, cruises, slows down.
+
+    `steps` are the times of the moves [s], equal if not given. A controller moves between the same
+    poses faster (`PointToPointMotion.within`).
+    """
+
+    steps: tuple[float, ...] = ()
+    key = "point-to-point"
+    size_name = "poses"
+
+    def _steps(self) -> Array:
+        equal = np.full(self.size - 1, self.duration / (self.size - 1))
+        return np.array(self.steps) if self.steps else equal
+
+    def basis(self, t: Array, order: int) -> Array:
+        """Return the derivative of this order of the basis functions."""
+        steps = self._steps()
+        edges = np.concatenate([[0.0], np.cumsum(steps)])
+        move = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(steps) - 1)
+        s, length = (t - edges[move]) / steps[move], steps[move]
+        top, hard = 1.5, 4.5
+        speeding, slowing = s < 1 / 3, s > 2 / 3
+        if order == 0:
+            part = np.where(
+                speeding,
+                hard * s**2 / 2,
+                np.where(slowing, 1 - hard * (1 - s) ** 2 / 2, 0.25 + top * (s - 1 / 3)),
+            )
+        elif order == 1:
+            part = np.where(speeding, hard * s, np.where(slowing, hard * (1 - s), top)) / length
+        elif order == 2:
+            part = np.where(speeding, hard, np.where(slowing, -hard, 0.0)) / length**2
+        else:
+            part = np.zeros_like(s)
+        found = np.zeros((len(t), self.size))
+        rows = np.arange(len(t))
+        found[rows, move] = (1.0 if order == 0 else 0.0) - part
+        found[rows, move + 1] = part
+        return found
+
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the moves at the given times."""
+        edges = np.concatenate([[0.0], np.cumsum(self._steps())])
+        breaks, pieces = [0.0], []
+        for k, step in enumerate(self._steps()):
+            start, way = coefficients[k], coefficients[k + 1] - coefficients[k]
+            third, hard, top = step / 3, 4.5 / step**2, 1.5 / step
+            breaks += [edges[k] + third, edges[k] + 2 * third, edges[k + 1]]
+            pieces += [
+                np.stack([hard / 2 * way, 0 * way, start]),
+                np.stack([0 * way, top * way, start + 0.25 * way]),
+                np.stack([-hard / 2 * way, top * way, start + 0.75 * way]),
+            ]
+        return PiecewisePolynomial(np.array(breaks), np.stack(pieces, axis=1))
+
+    def retimed(self, steps: Array) -> PointToPoint:
+        """Return the family with moves in proportion to `steps`, of the same duration."""
+        scaled = np.asarray(steps) * self.duration / np.sum(steps)
+        return replace(self, steps=tuple(float(step) for step in scaled))
+
+    @property
+    def shortest_wave(self) -> float:
+        """Two moves [s]."""
+        return 2 * float(self._steps().min())
+
+    @property
+    def constant(self) -> Array:
+        """Coefficients of the constant 1: equal poses."""
+        return np.ones(self.size)
+
+
+PARAMETRISATIONS.register(PointToPoint.key, PointToPoint)
+
+
+def paced_moves(
+    poses: Array,
+    bounds: MotionBounds,
+    constraints: Sequence[StateConstraint],
+    dwell: ArrayLike = 0.0,
+) -> PointToPointMotion | None:
+    """Return the motion through `poses` (m, n) whose moves are as fast as the limits allow.
+
+    Returns None if a move is impossible.
+
+    A move on which a constraint is violated even at rest, such as a collision or a weight that is
+    too heavy, cannot be made at any speed.
+    """
+    pace = np.ones(len(poses) - 1)
+    for k in range(len(pace)):
+        if np.abs(poses[k + 1] - poses[k]).max() <= STANDSTILL:
+            continue
+        while not _holds(_motion(poses[k : k + 2], bounds, pace=pace[k]), constraints):
+            if pace[k] == 1.0 and not _holds(
+                _motion(poses[k : k + 2], bounds), constraints, at_rest=True
+            ):
+                return None
+            pace[k] *= SLOWING
+            if pace[k] < SLOWEST:
+                return None
+    whole = _motion(poses, bounds, dwell, pace)
+    while not _holds(whole, constraints):
+        pace *= SLOWING
+        if pace.min() < SLOWEST * SLOWING:
+            return None
+        whole = _motion(poses, bounds, dwell, pace)
+    return whole
+
+
+def violated(
+    constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array
+) -> NDArray[np.bool_]:
+    """Return at which states (N,) a constraint does not hold."""
+    over = np.zeros(len(q), dtype=bool)
+    for constraint in constraints:
+        values = constraint.values(q, qd, qdd)
+        over |= (np.abs(values) if constraint.two_sided else values).max(axis=1) >= 1
+    return over
+
+
+def _motion(
+    poses: Array, bounds: MotionBounds, dwell: ArrayLike = 0.0, pace: ArrayLike = 1.0
+) -> PointToPointMotion:
+    return PointToPointMotion.within(
+        poses, velocity=bounds.velocity, acceleration=bounds.acceleration, dwell=dwell, pace=pace
+    )
+
+
+def _holds(
+    motion: PointToPointMotion, constraints: Sequence[StateConstraint], *, at_rest: bool = False
+) -> bool:
+    q, qd, qdd = motion.at(motion.sample_times(CHECK_RATE))
+    rest = np.zeros_like(q)
+    return not np.any(
+        violated(constraints, q, rest, rest) if at_rest else violated(constraints, q, qd, qdd)
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motions.motion import STANDSTILL, limit_array, way_point_array
+from asbuilt.excitation.motions.motion import STANDSTILL, Motion, limit_array, way_point_array
+from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS, Parametrisation
 from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 PEAK_VELOCITY = 15.0 / 8.0
@@ -165,3 +167,49 @@ def _hermite(h: Array, q: Array, v: Array, a: Array) -> Array:
     c4 = (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
     c5 = (12 * d - 6 * (v1 + v0) * h - (a0 - a1) * h**2) / (2 * h**5)
     return np.stack([c5, c4, c3, a0 / 2, v0, q0])
+
+
+@dataclass(frozen=True)
+class Quintic(Parametrisation):
+    """Quintic polynomials through `size` way points at equal times, at rest at both ends.
+
+    Coefficients: positions of the `size` way points, then velocities and accelerations of the inner
+    ones, in units of the time between two points and its square.
+    """
+
+    key = "quintic"
+    size_name = "way points"
+    density = 0.5
+
+    def _times(self) -> Array:
+        return np.linspace(0.0, self.duration, self.size)
+
+    def _parts(self, coefficients: Array) -> tuple[Array, Array, Array]:
+        m, n = self.size, coefficients.shape[1]
+        step = self.duration / (m - 1)
+        speed, change = np.zeros((m, n)), np.zeros((m, n))
+        speed[1:-1] = coefficients[m : 2 * m - 2] / step
+        change[1:-1] = coefficients[2 * m - 2 :] / step**2
+        return coefficients[:m], speed, change
+
+    def basis(self, t: Array, order: int) -> Array:
+        """Return the derivative of this order of the basis functions."""
+        return self.motion(np.eye(3 * self.size - 4)).derivative(t, order)
+
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the motion through the way points."""
+        q, qd, qdd = self._parts(coefficients)
+        return QuinticMotion.through(q, self._times(), qd, qdd)
+
+    @property
+    def shortest_wave(self) -> float:
+        """The time between two way points [s]."""
+        return self.duration / (self.size - 1)
+
+    @property
+    def constant(self) -> Array:
+        """Coefficients of the constant 1: equal way points at rest."""
+        return np.concatenate([np.ones(self.size), np.zeros(2 * self.size - 4)])
+
+
+PARAMETRISATIONS.register(Quintic.key, Quintic)

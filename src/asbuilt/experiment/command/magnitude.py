@@ -275,8 +275,7 @@ def _lowest(cost: Callable[[float], float]) -> float:
     tried = np.linspace(RULES.shortest, RULES.longest, RULES.tried)
     best = float(tried[int(np.argmin([cost(float(each)) for each in tried]))])
     step = float(tried[1] - tried[0])
-    found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
-    return float(found.x)
+    return float(minimize_scalar(cost, bounds=(best - step, best + step), method="bounded").x)
 
 
 def _lag_error(kind: Kind, m: Array, e: Array, w: Array, lag: float, block: Indices) -> float:

@@ -16,6 +16,8 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.contact import contact_jacobians
 from asbuilt.experiment.free_base.columns import base_rotations, coordinate_rates, yaw_pitch_roll
+from asbuilt.experiment.free_base.force_checks import force_findings
+from asbuilt.experiment.free_base.rolling_feet import rolling_radii
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined
 
@@ -28,7 +30,8 @@ class FreeBaseLimits:
     shifted by up to `longest_shift` [s], and named from `shift` [s]. A contact that is closed
     slips above `slip` [m/s]; one that is open touches where it stands within `height` [m] of where
     it stands when closed. `gravity` [m/s^2] is the least mean by which accelerations that hold
-    gravity differ from those of the velocity. At most `samples` of a log are looked at.
+    gravity differ from those of the velocity. Stated radii are off by more than a part `radius`
+    from those on which feet roll. At most `samples` of a log are looked at.
     """
 
     share: float = 0.5
@@ -38,6 +41,7 @@ class FreeBaseLimits:
     often: float = 0.1
     height: float = 0.01
     gravity: float = 5.0
+    radius: float = 0.3
     samples: int = 20_000
 
 
@@ -51,6 +55,7 @@ def free_base_findings(model: RobotModel, recording: Recording) -> tuple[Finding
         return ()
     rates = np.gradient(part.q, part.t, axis=0)
     found = [*_velocity_findings(model, part, rates), *_acceleration_findings(model, part)]
+    found += force_findings(model, part, rates)
     if model.contacts and part.contact is not None:
         found += _contact_findings(model, part, rates)
     return tuple(found)
@@ -148,9 +153,14 @@ def _acceleration_findings(model: RobotModel, recording: Recording) -> Iterator[
 def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> Iterator[Finding]:
     """Find contacts that never close, that slip, and flags that come early or late."""
     assert recording.contact is not None
+    yield from _radius_findings(model, recording)
     closed = recording.contact > 0.5
     names = [contact.frame for contact in model.contacts]
-    never = [name for name, own in zip(names, closed.T, strict=True) if not own.any()]
+    never = [
+        name
+        for name, own in zip(names, closed.T, strict=True)
+        if not own.any() and f"contact_{name}_fx" not in recording.extra
+    ]
     if never and not _falls(model, recording):
         all_open = len(never) == len(names)
         yield Finding(
@@ -189,6 +199,37 @@ def _contact_findings(model: RobotModel, recording: Recording, rates: Array) -> 
                 " what an open contact would say is lost",
                 Cure("check its flags"),
             )
+
+
+def _radius_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Report on which radius feet roll, and radii that were stated otherwise."""
+    rolling, other = [], []
+    for contact, radius in zip(model.contacts, rolling_radii(model, [recording]), strict=True):
+        if radius is None:
+            continue
+        stated = contact.radius or 0.0
+        text = f"{contact.frame} {1e3 * radius:.3g} mm"
+        if contact.flat or abs(stated - radius) > LIMITS.radius * max(stated, radius):
+            kind = "a sole" if contact.flat else f"{1e3 * stated:.3g} mm"
+            other.append(f"{text} (stated: {kind})")
+        else:
+            rolling.append(text)
+    if rolling:
+        yield Finding(
+            "feet_roll",
+            "info",
+            f"in stance feet move as balls roll, on radii of {joined(rolling)}: the ground is taken"
+            " to touch them so far below their frames",
+            Cure("state other radii [m] after the names, or 0 for points: FL_FOOT:0.02"),
+        )
+    if other:
+        yield Finding(
+            "contact_radius",
+            "warning",
+            f"in stance feet move as balls roll on radii of {joined(other)}; a force at another"
+            " point has another moment",
+            Cure("state these radii, or leave them out, and they are taken from the log"),
+        )
 
 
 def _falls(model: RobotModel, recording: Recording) -> bool:

@@ -1,8 +1,9 @@
-"""Columns of a free base: pose, velocity and contacts beside the joints of a log.
+"""Columns of a free base: pose, velocity, contacts and forces beside the joints of a log.
 
 The pose is `base_x base_y base_z` [m] and the quaternion `base_qx base_qy base_qz base_qw` that
 turns base axes into those of the world. Velocities `base_vx .. base_wz`, if there are any, are in
 base axes, as are those of Pinocchio's free flyer. `contact_NAME` is 1 where the contact is closed.
+Measured forces are `contact_NAME_fx .. fz` and `mx .. mz`, and `base_fx .. base_mz`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.free_base.measured_forces import (
+    force_columns,
+    pressed,
+    with_measured_forces,
+)
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
@@ -55,15 +61,12 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
             cure=Cure("log torques or motor currents too"),
             file=recording.source,
         )
-    contact = None
-    if model.contacts:
-        names = [f"contact_{each.frame}" for each in model.contacts]
-        contact = _columns(recording, names, "which says when the contact is closed")
+    contact = _closed_contacts(recording, model) if model.contacts else None
     q, notes = _pose(recording, model)
     qd, qdd = _rates(recording, model, q)
     still = np.zeros_like(q)
     base = model.joint_names[: model.n_floating]
-    return replace(
+    found = replace(
         recording,
         q=np.hstack([q, recording.q]),
         tau=np.hstack([still, recording.tau]),
@@ -72,10 +75,23 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
         joint_names=(*base, *recording.joint_names),
         notes=(*recording.notes, *notes),
         gains=None if recording.gains is None else (*[1.0] * len(base), *recording.gains),
-        extra={},
+        extra=force_columns(recording.extra),
         undriven=base,
         contact=contact,
     )
+    return with_measured_forces(found, model)
+
+
+def _closed_contacts(recording: Recording, model: RobotModel) -> Array:
+    """Return where contacts are closed (N, n_contacts), by their flag or else by their force."""
+    found = []
+    for contact in model.contacts:
+        name = f"contact_{contact.frame}"
+        if name not in recording.extra and f"{name}_fz" in recording.extra:
+            found.append(pressed(recording.extra[f"{name}_fz"]))
+        else:
+            found += list(_columns(recording, [name], "which says when the contact is closed").T)
+    return np.stack(found, axis=1)
 
 
 def _columns(recording: Recording, names: list[str] | tuple[str, ...], what: str) -> Array:
@@ -84,7 +100,8 @@ def _columns(recording: Recording, names: list[str] | tuple[str, ...], what: str
     if missing:
         raise RecordingError(
             f"{recording.source} has no column {missing[0]!r}, {what}; a free base needs"
-            f" {' '.join((*POSITION, *QUATERNION))} and contact_NAME of every contact",
+            f" {' '.join((*POSITION, *QUATERNION))} and contact_NAME of every contact,"
+            " or its force contact_NAME_fx, _fy, _fz",
             cure=Cure("add it to the log, or rename the column"),
             file=recording.source,
             value=missing,

@@ -242,8 +242,7 @@ class ReadingOptions:
     @property
     def of_base(self) -> dict[str, Any]:
         """The options that concern the base of the robot, by name."""
-        names = ("fixed_base", "free_base", "contacts")
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("fixed_base", "free_base", "contacts")}
 
     def __post_init__(self) -> None:
         if self.torque_source not in (None, *TORQUE_SOURCES):

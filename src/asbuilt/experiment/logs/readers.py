@@ -10,7 +10,12 @@ from typing import Any
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.columns import base_columns, on_its_base
-from asbuilt.experiment.logs.assembly import apply_sheet, build_recording
+from asbuilt.experiment.logs.assembly import (
+    apply_sheet,
+    build_recording,
+    merge_role_files,
+    role_groups,
+)
 from asbuilt.experiment.logs.columns.joint_units import with_joint_units
 from asbuilt.experiment.logs.columns.layout import Layout, find_layout
 from asbuilt.experiment.logs.columns.roles import (
@@ -23,7 +28,6 @@ from asbuilt.experiment.logs.columns.unnamed_columns import DRAFT, suggest_sheet
 from asbuilt.experiment.logs.formats.frames import is_columns, table_of_columns
 from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
-from asbuilt.experiment.logs.role_files import merge_role_files, role_groups
 from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure

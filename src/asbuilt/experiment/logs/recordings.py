@@ -11,6 +11,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.free_base.rolling_feet import on_rolling_feet
 from asbuilt.experiment.logs.formats.frames import is_columns
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
@@ -97,7 +98,8 @@ def fitted_recordings(
 
     Joints that a recording lacks are locked, at 0 or in the middle of their limits; `lock` of the
     options and sheets gives others, and positions; one that is logged is locked at its median
-    position. `gravity` of the options replaces that of the robot.
+    position. `gravity` of the options replaces that of the robot. Feet whose radius is not stated
+    have that on which they roll.
 
     Parameters
     ----------
@@ -151,9 +153,10 @@ def fitted_recordings(
     for name in asked.keys() - values.keys() - model.locked_joints.keys():
         values[name] = None
     whole, model = model, model.locked({**asked, **values})
-    if model is whole and all(joints == model.joint_names for group in logged for joints in group):
-        return model, read
-    return model, [[_with_joints(item, model.joint_names) for item in items] for items in read]
+    if model is not whole or any(each != model.joint_names for group in logged for each in group):
+        read = [[_with_joints(item, model.joint_names) for item in items] for items in read]
+    whole_ones = [item for items in read for item in items if isinstance(item, Recording)]
+    return on_rolling_feet(model, whole_ones), read
 
 
 OF_THE_ROBOT = ("lock", "gravity", "fixed_base", "free_base", "contacts")
@@ -201,8 +204,7 @@ def _named_ones(
 def _joints_of(item: Recorded, model: RobotModel) -> tuple[str, ...]:
     """Return the joints that a recording has; those of the robot, where names say nothing."""
     names = item.head.joint_names if isinstance(item, RecordingStream) else item.joint_names
-    known = set(names) & set(model.joint_names)
-    return names if known else model.joint_names
+    return names if set(names) & set(model.joint_names) else model.joint_names
 
 
 def _held_at(item: Recorded | None, joint: str, value: float | None) -> float | None:

@@ -139,13 +139,25 @@ class SheetColumns(_Part):
     @property
     def numbered(self) -> bool:
         """Whether positions are given, and all columns by number, so that names do not matter."""
-        listed = [self.position, self.velocity, self.acceleration, self.torque, self.command]
-        encoders = [self.motor_position, self.link_position]
-        given = [each for each in (*listed, *encoders, *self.extra.values()) if each is not None]
-        columns = [column for each in given for column in each]
+        columns = [column for listed in self.by_group.values() for column in listed]
         return self.position is not None and all(
             isinstance(column, int) for column in [*columns, *([self.time] if self.time else [])]
         )
+
+    @property
+    def by_group(self) -> dict[tuple[str, str], list[ColumnName]]:
+        """The columns that are listed, by quantity and kind: an encoder's side, or "sheet"."""
+        given: dict[tuple[str, str], list[ColumnName] | None] = {
+            ("position", ""): self.position,
+            ("velocity", ""): self.velocity,
+            ("acceleration", ""): self.acceleration,
+            ("torque", ""): self.torque,
+            ("command", ""): self.command,
+            ("position", "motor"): self.motor_position,
+            ("position", "link"): self.link_position,
+        }
+        given |= {(name, "sheet"): columns for name, columns in self.extra.items()}
+        return {group: columns for group, columns in given.items() if columns is not None}
 
 
 class SheetUnits(_Part):

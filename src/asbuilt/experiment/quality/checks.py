@@ -19,32 +19,33 @@ from asbuilt.experiment.gravity_load import DEGREE
 from asbuilt.experiment.logs.long_recordings import RecordingStream, first_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.command_checks import command_findings
-from asbuilt.experiment.quality.coupling_checks import (
-    closure_findings,
-    coupling_findings,
-    encoder_findings,
+from asbuilt.experiment.quality.motion_checks import (
+    excitation_findings,
+    impossible_motion,
+    motion_findings,
 )
-from asbuilt.experiment.quality.excitation_checks import excitation_findings
-from asbuilt.experiment.quality.first_pass import (
+from asbuilt.experiment.quality.passes import (
     FirstPass,
     as_modelled,
     credible,
     first_pass,
+    second_pass,
 )
-from asbuilt.experiment.quality.motion_checks import impossible_motion, motion_findings
 from asbuilt.experiment.quality.position_checks import (
     MEASURED,
     PositionNoise,
+    closure_findings,
+    coupling_findings,
+    encoder_findings,
     position_findings,
 )
-from asbuilt.experiment.quality.second_pass import second_pass
-from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed_motion
-from asbuilt.experiment.quality.torque.sign_check import unsigned_findings
+from asbuilt.experiment.quality.reductions import UniformSegments, smoothed_motion
 from asbuilt.experiment.quality.torque.signal_checks import (
     filter_findings,
     missing_channel_findings,
     saturation_findings,
     spike_findings,
+    unsigned_findings,
 )
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
@@ -262,7 +263,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     noise = None
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         beginning = as_modelled(model, credible(first_of(recording, MEASURED)))
-        beginning = beginning.with_torque_of(known.has_torque)
+        beginning = beginning.with_torque_of(known.first.has_torque)
         of_commands = list(command_findings(model, beginning))
         of_loops = list(closure_findings(model, beginning))
         findings += of_loops
@@ -282,7 +283,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         findings += encoder_findings(model, beginning)
         findings += coupling_findings(model, beginning) if follows else ()
     findings += lock_findings(model.locked_joints, model.held_followers, model.assumed_carriers)
-    findings += map(_of_note, known.notes)
+    findings += map(_of_note, known.first.notes)
     return RecordingCheck(
         robot=model.name,
         source=recording.source,

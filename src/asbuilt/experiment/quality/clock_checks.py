@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.experiment.quality.first_pass import FirstPass, Missing
-from asbuilt.experiment.quality.smoothed_motion import GAP_STEPS
+from asbuilt.experiment.quality.passes import FirstPass, Missing
+from asbuilt.experiment.quality.reductions import GAP_STEPS
 from asbuilt.findings import Cure, Finding, joined
 
 
@@ -104,7 +104,7 @@ def _not_finite(recording: FirstPass) -> Iterator[Finding]:
     together: dict[bytes, list[Missing]] = {}
     for column in recording.missing:
         together.setdefault(column.rows.tobytes(), []).append(column)
-    names = recording.joint_names
+    names = recording.first.joint_names
     for columns in together.values():
         rows, value = columns[0].rows, columns[0].first
         kind = (

@@ -153,8 +153,7 @@ def _motion(model: RobotModel, recording: Recording) -> _Motion | None:
     held = np.flatnonzero(constant & (extent > THRESHOLDS.held * smallest)).tolist()
     reach = int(THRESHOLDS.searched / step)
     lags = np.arange(-reach, reach + 1)
-    inner = slice(reach, q.shape[0] - reach)
-    positions = _normalised(q[inner])
+    positions = _normalised(q[reach : q.shape[0] - reach])
     r = np.array(
         [positions.T @ _normalised(u[reach - lag : q.shape[0] - reach - lag]) for lag in lags]
     )

@@ -1,4 +1,4 @@
-"""Checks of the positions' resolution and noise."""
+"""Checks of positions: steps and noise, loops, joints that follow others, second encoders."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.noise.band_choice import POSITION_BANDWIDTHS, Band, choose_band
 from asbuilt.experiment.signal.noise.position_step import position_steps
 from asbuilt.experiment.signal.resampling import uniform_segments
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, joined
 
 MEASURED = 20_000
 """Samples at the beginning by which step and noise are measured: 20 s at 1 kHz."""
@@ -95,3 +95,212 @@ def _step_text(model: RobotModel, joint: int, step: float) -> str:
     if not model.joints[joint].is_revolute:
         return f"steps of {1e3 * step:.3g} mm"
     return f"steps of {1e3 * step:.3g} mrad ({2.0 * np.pi / step:.0f} per turn)"
+
+
+@dataclass(frozen=True, slots=True)
+class CouplingThresholds:
+    """Hold when a logged follower is away from where its coupling puts it: own choices.
+
+    Parameters
+    ----------
+    angle, length
+        Root mean square [rad, m] that the play of a gripper explains.
+    share
+        Share of the follower's range in the log that it must exceed besides.
+    singular
+        Ratio of singular values of loops below which a posture is near a singular one.
+    """
+
+    angle: float = 0.02
+    length: float = 0.001
+    share: float = 0.05
+    singular: float = 0.02
+
+
+THRESHOLDS = CouplingThresholds()
+SAMPLED = 2000
+"""Samples of a log at which loops are looked at."""
+BLOCKS = 10
+"""Time blocks from whose scatter the error of a lag follows."""
+
+
+def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Name samples at which the loops do not close, and postures near a singular one."""
+    closure = model.closure
+    if closure is None:
+        return
+    known = np.flatnonzero(np.isfinite(recording.q).all(axis=1))
+    rows = known[:: max(1, known.size // SAMPLED)]
+    at = closure.postures(recording.q[rows])
+    moving = [k for k in range(model.n_joints) if closure.moves_loops(k)]
+    failed = np.flatnonzero(~at.closed)
+    if failed.size:
+        k, first = moving[0], int(failed[0])
+        where = [f"{model.joint_names[j]} at {recording.q[rows[first], j]:.4g}" for j in moving]
+        yield Finding(
+            "loops_open",
+            "error",
+            f"the encoders contradict the loops of the description: they do not close at"
+            f" {recording.t[rows[first]]:.3f} s, with {joined(where, len(where))}"
+            f" ({100.0 * failed.size / rows.size:.3g} % of the samples)",
+            Cure("correct zero positions, signs and units of the log, or the lengths of the links"),
+            joint=model.joint_names[k],
+            time=float(recording.t[rows[first]]),
+        )
+    if not at.closed.any():
+        return
+    nearest = int(np.argmin(np.where(at.closed, at.distance, np.inf)))
+    near = at.distance[nearest] < THRESHOLDS.singular
+    where = [f"{model.joint_names[j]} at {recording.q[rows[nearest], j]:.4g}" for j in moving]
+    said = (
+        f"the loops are nearest to a singular posture at {recording.t[rows[nearest]]:.3f} s, with"
+        f" {joined(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of the"
+        " largest"
+    )
+    joint, time = model.joint_names[moving[0]], float(recording.t[rows[nearest]])
+    if not near:
+        yield Finding("distance_to_singularity", "info", said, joint=joint, time=time)
+        return
+    yield Finding(
+        "near_singular_posture",
+        "warning",
+        f"{said}; there small errors of positions make large ones of passive joints and torques",
+        Cure("keep away from it, or cut these samples out"),
+        joint=joint,
+        time=time,
+    )
+
+
+def coupling_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Compare logged positions of followers with those that follow; name torques not used."""
+    placed, shares = _placed(model, recording.q), model.link_shares
+    for k, joint in enumerate(model.followers, start=model.n_joints):
+        master = " and ".join(
+            name for name, share in zip(model.joint_names, shares[k], strict=True) if share
+        )
+        logged = recording.extra.get(f"q_{joint.name}")
+        if logged is not None:
+            q = np.asarray(logged).reshape(-1)
+            away = float(np.sqrt(np.nanmean((q - placed[:, k]) ** 2)))
+            play = THRESHOLDS.angle if joint.is_revolute else THRESHOLDS.length
+            if away > max(play, THRESHOLDS.share * float(np.nanmax(q) - np.nanmin(q))):
+                unit = "rad" if joint.is_revolute else "m"
+                yield Finding(
+                    "coupling_disagrees",
+                    "warning",
+                    f"{joint.name} is logged {away:.3g} {unit} (root mean square) away from where"
+                    f" {master} puts it by the {'loops' if joint.is_passive else 'coupling'} in the"
+                    " description, with which the torques are computed",
+                    Cure(
+                        "correct lengths and zero positions of the loops in the description"
+                        if joint.is_passive
+                        else "correct multiplier and offset of the mimic joint in the description"
+                    ),
+                    joint=joint.name,
+                )
+        torque = recording.extra.get(f"tau_{joint.name}")
+        if torque is not None and float(np.nanmax(np.abs(torque), initial=0.0)) > 0.0:
+            yield Finding(
+                "follower_torque",
+                "warning",
+                f"the log has a torque of {joint.name}, which follows {master}; only the torque of"
+                f" {master} is used",
+                Cure("if it has a drive of its own, remove the mimic from the description"),
+                joint=joint.name,
+            )
+
+
+def _placed(model: RobotModel, q: Array) -> Array:
+    """Return the positions of the joints of all links, NaN at samples that have NaN."""
+    known = np.isfinite(q).all(axis=1)
+    placed = np.full((len(q), model.n_links), np.nan)
+    placed[known] = model.link_positions(q[known])
+    return placed
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderLag:
+    """Hold the lag of the link's encoder behind the motor's, and what it leaves.
+
+    Parameters
+    ----------
+    value, std_error
+        The lag [s].
+    explained
+        Share of the square of motor minus link that it explains.
+    rest
+        RMS of motor minus link beyond it [rad or m].
+    """
+
+    value: float
+    std_error: float
+    explained: float
+    rest: float
+
+
+def encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | None:
+    """Return the lag of `other` (N,) behind `own` (N,); None if one of them does not move.
+
+    To first order `other(t) = s own(t - lag) + c = s own - s lag d(own)/dt + c`: zero positions and
+    directions of the encoders may differ. The error is that of the jackknife over blocks of time
+    (Miller, Biometrika 61, 1974).
+    """
+    if not (np.ptp(own) > 0.0 and np.ptp(other) > 0.0):
+        return None
+    columns = np.column_stack([own, np.gradient(own, t), np.ones_like(own)])
+
+    def lag(left_out: Indices) -> tuple[float, Array]:
+        kept = np.delete(np.arange(t.size), left_out)
+        found = np.linalg.lstsq(columns[kept], other[kept], rcond=None)[0]
+        return -float(found[1] / found[0]), found
+
+    value, (s, b, c) = lag(np.arange(0))
+    parts = [lag(rows)[0] for rows in np.array_split(np.arange(t.size), BLOCKS)]
+    difference, error = other - s * own - c, other - columns @ np.array([s, b, c])
+    return EncoderLag(
+        value,
+        float(np.std(parts) * np.sqrt(BLOCKS - 1)),
+        1.0 - float(np.mean(error**2) / np.mean(difference**2)),
+        float(np.sqrt(np.mean(error**2))),
+    )
+
+
+def encoder_findings(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Report the lag between two encoders of each joint, and joints without the second."""
+    second = recording.second_encoder
+    if second is None or recording.n_samples < 2 * BLOCKS:
+        return
+    sign = 1.0 if second[0] == "link" else -1.0
+    found = [
+        encoder_lag(recording.t, own, other)
+        for own, other in zip(recording.q.T, second[1].T, strict=True)
+    ]
+    # Standard errors beyond which a lag is one.
+    lagging = [
+        (joint, each)
+        for joint, each in zip(model.joints, found, strict=True)
+        if each is not None and abs(each.value) > 3.0 * each.std_error
+    ]
+    if not lagging:
+        return
+    lags = [
+        f"{joint.name} {1e3 * sign * each.value:.2f} +- {1e3 * each.std_error:.2f} ms"
+        for joint, each in lagging
+    ]
+    shares = sorted(100.0 * each.explained for _, each in lagging)
+    rest = [
+        f"{np.rad2deg(each.rest) * 1e3:.1f} mdeg"
+        if joint.is_revolute
+        else f"{1e6 * each.rest:.1f} um"
+        for joint, each in lagging
+    ]
+    without = [joint.name for joint, each in zip(model.joints, found, strict=True) if each is None]
+    also = f"; {joined(without)} have one encoder that moves" if without else ""
+    yield Finding(
+        "encoder_lag",
+        "info",
+        f"the link encoders lag behind the motor encoders by {joined(lags, len(lags))}, which"
+        f" explains {shares[0]:.0f} to {shares[-1]:.0f} % of their difference and leaves"
+        f" {joined(rest, len(rest))} for elasticity and hysteresis{also}",
+        joint=lagging[0][0].name,
+    )

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from asbuilt.arrays import Array
-from asbuilt.experiment.quality.first_pass import FirstPass
-from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.passes import FirstPass
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 from asbuilt.findings import Cure, Finding, joined
 
 LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")
@@ -50,7 +50,7 @@ def velocity_findings(
     recording: FirstPass, motion: SmoothedMotion, logged: Array
 ) -> Iterator[Finding]:
     """Find logged velocities that are zero, swapped, in another unit, wrong, late or disturbed."""
-    names = recording.joint_names
+    names = recording.first.joint_names
     slope = motion.qd
     energy = np.sum(slope**2, axis=0)
     moves = np.ptp(motion.q, axis=0) > THRESHOLDS.rest
@@ -163,9 +163,9 @@ def _lag(
             "info",
             f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative"
             f" of the positions by {1e3 * low:.2g} to {1e3 * high:.2g} ms, most in"
-            f" {recording.joint_names[worst]} (sampling period {1e3 * step:.3g} ms)",
+            f" {recording.first.joint_names[worst]} (sampling period {1e3 * step:.3g} ms)",
             LEAVE_OUT,
-            joint=recording.joint_names[worst],
+            joint=recording.first.joint_names[worst],
         )
 
 
@@ -210,11 +210,11 @@ def _ends(
             yield Finding(
                 "end_transient",
                 "warning",
-                f"in the {name} {end:g} s the logged velocity of {recording.joint_names[k]} differs"
-                f" from the derivative of its position by up to {worst[k]:.3g} rad/s, elsewhere by"
-                f" {inner[k]:.2g} rad/s, as at the end of a filtered signal",
+                f"in the {name} {end:g} s the logged velocity of {recording.first.joint_names[k]}"
+                f" differs from the derivative of its position by up to {worst[k]:.3g} rad/s,"
+                f" elsewhere by {inner[k]:.2g} rad/s, as at the end of a filtered signal",
                 Cure(f"cut the {name} half second in a recording sheet: [[windows]] {window}"),
-                joint=recording.joint_names[k],
+                joint=recording.first.joint_names[k],
                 time=float(recording.t[0] if name == "first" else recording.t[-1] - end),
             )
 

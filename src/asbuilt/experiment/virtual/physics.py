@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from types import ModuleType
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.description.formats.compiled_mjcf import collected_warnings
 from asbuilt.description.formats.mjcf_text import mjcf_text
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, RobotModel
@@ -261,8 +262,7 @@ class Physics:
             self.rub(coulomb[k], viscous[k])
             self._mujoco.mj_forward(self.compiled, data)
             acceleration[k] = data.qacc[order]
-            of_springs = data.qfrc_spring
-            at_joints = (of_springs - data.qfrc_constraint - data.qfrc_passive)[self._every]
+            at_joints = (data.qfrc_spring - data.qfrc_constraint - data.qfrc_passive)[self._every]
             friction[k] = at_joints @ moved.by_sample[k % len(moved.by_sample)]
         return acceleration, friction
 
@@ -279,11 +279,7 @@ class Physics:
     def start(self, q: ArrayLike, qd: ArrayLike) -> None:
         """Put the robot into a state (n,), at time 0 and without memory of earlier motion."""
         self._mujoco.mj_resetData(self.compiled, self.data)
-        self._place(np.asarray(q, dtype=np.float64), np.asarray(qd, dtype=np.float64))
-
-    def _place(self, q: Array, qd: Array) -> None:
-        """Put the joints of all links where the driven joints are at q with rates qd, two (n,)."""
-        moved = self.model.link_motion(q[None], qd[None])
+        moved = self.model.link_motion(*(np.array([x], dtype=np.float64) for x in (q, qd)))
         self.data.qpos[self._every], self.data.qvel[self._every] = moved.q[0], moved.qd[0]
 
     @property
@@ -291,16 +287,9 @@ class Physics:
         """Joint positions and velocities of this moment, two (n,)."""
         return self.data.qpos[self._order], self.data.qvel[self._order]
 
-    @contextmanager
-    def quiet(self) -> Iterator[list[str]]:
+    def quiet(self) -> AbstractContextManager[list[str]]:
         """Collect MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
-        warnings: list[str] = []
-        previous = self._mujoco.get_mju_user_warning()
-        self._mujoco.set_mju_user_warning(warnings.append)
-        try:
-            yield warnings
-        finally:
-            self._mujoco.set_mju_user_warning(previous)
+        return collected_warnings(self._mujoco)
 
     def rub(self, coulomb: Array, viscous: Array) -> None:
         """Set dry [N m] and viscous [N m s/rad] friction, two (n,)."""

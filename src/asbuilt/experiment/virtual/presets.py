@@ -10,22 +10,99 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description.rotation import rotation_from_rpy
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.experiment.virtual.bodies import (
-    perturbed_links,
-    tilted_base,
-    torque_and_inertia,
-    with_body,
+from asbuilt.experiment.virtual.drive_train import (
+    DriveTrain,
+    JointServo,
+    PositionController,
+    TermDrives,
 )
-from asbuilt.experiment.virtual.data_logger import DataLogger
-from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
-from asbuilt.experiment.virtual.joint_servo import JointServo
-from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.experiment.virtual.sensors import DataLogger, SensorNoise
 from asbuilt.findings import Cure
+
+
+def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> RobotModel:
+    """Return the robot with a body welded to a link or frame `at`, by default the last link.
+
+    The body's inertia is given in the axes of that link or frame.
+
+    Raises
+    ------
+    UsageError
+        If the robot has no moving link or frame of that name.
+    """
+    index, placement = _flange(model, at)
+    link, carried = model.links[index], body.moved(placement)
+    links = list(model.links)
+    links[index] = replace(
+        link,
+        inertia=link.inertia + carried,
+        parts=(*(link.parts or ((link.name, link.inertia),)), ("tool", carried)),
+    )
+    return replace(model, links=tuple(links))
+
+
+def perturbed_links(model: RobotModel, fraction: float, rng: np.random.Generator) -> RobotModel:
+    """Return the robot with every link stretched, sheared, shifted and scaled by about `fraction`.
+
+    The pseudo-inertia becomes `s A J A^T` with `s = exp(fraction N)`, `A = [[1 + fraction N / 2,
+    fraction r N / 2], [0, 1]]`, N standard normal, r the radius of gyration. A consistent link
+    stays consistent, since congruence keeps J positive definite (Wensing et al. 2018).
+    """
+    links = []
+    for link in model.links:
+        J = link.inertia.pseudo_inertia
+        radius = np.sqrt(max(np.trace(J[:3, :3]), 0.0) / J[3, 3]) if J[3, 3] > 0 else 0.0
+        A = np.eye(4)
+        A[:3, :3] += fraction / 2 * rng.normal(size=(3, 3))
+        A[:3, 3] = fraction / 2 * radius * rng.normal(size=3)
+        scale = np.exp(fraction * rng.normal())
+        inertia = LinkInertia.from_pseudo_inertia(scale * A @ J @ A.T)
+        links.append(replace(link, inertia=inertia, parts=()))
+    return replace(model, links=tuple(links))
+
+
+def tilted_base(model: RobotModel, roll: float, pitch: float) -> RobotModel:
+    """Return the robot with its root turned by small angles [rad] about x, then y."""
+    return model.with_gravity(rotation_from_rpy([roll, pitch, 0.0]).T @ model.gravity)
+
+
+def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return torque range and mean inertia of each joint, two (n,).
+
+    The torque range is the limit, or without one the largest torque at random states.
+    """
+    bounds = MotionBounds.assumed(model)
+    low = np.stack([bounds.lower, -bounds.velocity, -bounds.acceleration])
+    high = np.stack([bounds.upper, bounds.velocity, bounds.acceleration])
+    q, qd, qdd = (rng.uniform(low[k], high[k], size=(64, model.n_joints)) for k in range(3))
+    largest = np.max(np.abs(inverse_dynamics(model, q, qd, qdd)), axis=0)
+    inertia = np.mean(np.diagonal(mass_matrix(model, q), axis1=1, axis2=2), axis=0)
+    return np.where(np.isfinite(bounds.torque), bounds.torque, np.maximum(largest, 1.0)), inertia
+
+
+def _flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
+    if at is None:
+        return model.tool_link, np.eye(4)
+    if at in model.link_names:
+        return model.link_names.index(at), np.eye(4)
+    for frame in model.frames:
+        if frame.name == at and frame.link != ROOT:
+            return frame.link, frame.placement
+    names = [*model.link_names, *(frame.name for frame in model.frames if frame.link != ROOT)]
+    raise UsageError(
+        f"{model.name} has no moving link or frame {at!r} to carry a tool; it has"
+        f" {', '.join(names)}",
+        value=at,
+        available=names,
+    )
+
 
 Engine = Literal["mujoco", "inverse-dynamics"]
 FULL_DRIVE = "armature,viscous,coulomb,offset"
@@ -74,13 +151,7 @@ def _exact(model: RobotModel, rng: np.random.Generator) -> Parts:
 def _typical(model: RobotModel, rng: np.random.Generator) -> Parts:
     n = model.n_joints
     torque, inertia = torque_and_inertia(model, rng)
-    spread = rng.uniform(0.5, 1.5, size=(4, n))
-    signs = rng.choice([-1.0, 1.0], size=n)
-    speed = MotionBounds.assumed(model).velocity
-    values = (
-        np.stack([0.15 * inertia, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
-        * spread
-    )
+    values = _usual_drives(model, rng, 0.15 * inertia, torque)
     sensors = SensorNoise(
         encoder_counts=tuple(2.0**16 if joint.is_revolute else 1e5 for joint in model.joints),
         torque_noise=_numbers(1e-3 * torque),
@@ -229,19 +300,26 @@ PRESETS: Mapping[str, Mapping[str, Preset]] = {
 def _drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
     """Return drives of the usual size for the torque range of each joint.
 
-    A rotor that the whole range accelerates by 200 rad/s^2 (or 200 m/s^2); 1.5 % viscous friction
-    at top speed, 2 % Coulomb, 0.5 % offset.
+    A rotor that the whole range accelerates by 200 rad/s^2 (or 200 m/s^2), and the usual friction.
     """
     torque, _ = torque_and_inertia(model, rng)
-    spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))
-    signs = rng.choice([-1.0, 1.0], size=model.n_joints)
-    speed = MotionBounds.assumed(model).velocity
-    values = (
-        np.stack([0.005 * torque, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
-        * spread
-    )
+    values = _usual_drives(model, rng, 0.005 * torque, torque)
     armature, viscous, coulomb, offset = (_numbers(row) for row in values)
     return DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
+
+
+def _usual_drives(
+    model: RobotModel, rng: np.random.Generator, armature: Array, torque: Array
+) -> Array:
+    """Return armature, viscous and Coulomb friction and offset of each joint (4, n), half off.
+
+    Of the torque range (n,) friction is 1.5 % viscous at top speed and 2 % Coulomb, the offset
+    0.5 %.
+    """
+    spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))
+    signs = rng.choice([-1.0, 1.0], size=model.n_joints)
+    viscous = 0.015 * torque / MotionBounds.assumed(model).velocity
+    return np.stack([armature, viscous, 0.02 * torque, 0.005 * torque * signs]) * spread
 
 
 def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tuple[DriveSet, Array]:

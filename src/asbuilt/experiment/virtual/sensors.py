@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import UsageError
+from asbuilt.errors import UsageError, refuse
 from asbuilt.excitation.motions.motion import Trajectory
 
 PerJoint = float | tuple[float, ...]
@@ -145,3 +146,93 @@ def _rounded(values: Array, step: Array) -> Array:
     """Return the nearest multiples of `step` (n,); a step of 0 leaves values as they are."""
     safe = np.where(step > 0, step, 1.0)
     return np.where(step > 0, np.round(values / safe) * safe, values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataLogger:
+    """Describe a logger.
+
+    Parameters
+    ----------
+    rate
+        Sampling rate [Hz].
+    clock_jitter
+        Standard deviation of the error of a time stamp [s].
+    dropped, burst
+        Fraction of the samples that is lost, and mean length of a burst of lost samples.
+    accelerations
+        Whether true velocities and accelerations are logged too, with perfect sensors only.
+
+    Raises
+    ------
+    UsageError
+        If a value is outside its range.
+    """
+
+    rate: float = 1000.0
+    clock_jitter: float = 0.0
+    dropped: float = 0.0
+    burst: float = 3.0
+    accelerations: bool = False
+
+    def __post_init__(self) -> None:
+        half = 0.5 / self.rate if self.rate > 0 else np.inf
+        refuse(
+            UsageError,
+            (
+                not (np.isfinite(self.rate) and self.rate > 0),
+                f"the rate of the logger must be a positive number of Hz, got {self.rate}",
+                {"value": self.rate, "lower": 0.0},
+            ),
+            (
+                not 0.0 <= self.clock_jitter < half,
+                f"clock_jitter must be below half a sampling period, {half:g} s at"
+                f" {self.rate:g} Hz, got {self.clock_jitter}",
+                {"value": self.clock_jitter, "lower": 0.0, "upper": half},
+            ),
+            (
+                not (0.0 <= self.dropped < 1.0 and self.burst >= 1.0),
+                "dropped must be from 0 to below 1 and burst at least 1, got"
+                f" {self.dropped} and {self.burst}",
+                {"value": (self.dropped, self.burst)},
+            ),
+        )
+
+    def logged(
+        self,
+        model: RobotModel,
+        sensors: SensorNoise,
+        truth: Trajectory,
+        tau: Array,
+        command: Array,
+        rng: np.random.Generator,
+    ) -> dict[str, Array]:
+        """Return the log of a motion and its torque (N, n), sampled at a multiple of the rate.
+
+        Its columns are `t` (N,), `q`, `tau`, `q_command` and, if logged, `qd` and `qdd` (N, n).
+        """
+        pick = slice(None, None, round(1.0 / self.rate / (truth.t[1] - truth.t[0])))
+        seen = Trajectory(truth.t[pick], truth.q[pick], truth.qd[pick], truth.qdd[pick])
+        q, qd, torque = sensors.measured(model, seen, sensors.delayed(truth.t, tau)[pick], rng)
+        t = seen.t.copy()
+        if self.clock_jitter:
+            slips = np.clip(
+                self.clock_jitter * rng.standard_normal(t.size), -0.45 / self.rate, 0.45 / self.rate
+            )
+            t = t + slips - slips[0]
+        columns = {"t": t, "q": q, "tau": torque, "q_command": command[pick]}
+        if sensors == PERFECT_SENSORS and self.accelerations:
+            columns |= {"qd": seen.qd, "qdd": seen.qdd}
+        elif qd is not None:
+            columns["qd"] = qd
+        kept = self._kept(t.size, rng) if self.dropped else slice(None)
+        return {name: values[kept] for name, values in columns.items()}
+
+    def _kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Return which samples are kept; bursts start at random and have geometric lengths."""
+        keep = np.ones(n, dtype=np.bool_)
+        starts = np.flatnonzero(rng.random(n) < self.dropped / self.burst)
+        for start, length in zip(starts, rng.geometric(1.0 / self.burst, starts.size), strict=True):
+            keep[start : start + length] = False
+        keep[[0, -1]] = True
+        return keep

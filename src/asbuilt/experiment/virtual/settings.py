@@ -8,10 +8,8 @@ from dataclasses import fields, replace
 from typing import Any
 
 from asbuilt.errors import UsageError
-from asbuilt.experiment.virtual.data_logger import DataLogger
-from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
-from asbuilt.experiment.virtual.joint_servo import JointServo
-from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.experiment.virtual.drive_train import DriveTrain, JointServo, PositionController
+from asbuilt.experiment.virtual.sensors import DataLogger, SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Cure
 

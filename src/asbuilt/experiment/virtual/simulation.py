@@ -1,16 +1,25 @@
-"""Recording of a described robot along a motion, in one call."""
+"""Simulations in one call: a recording along a motion, and motion without a controller."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
 from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import gravity_torque, kinetic_energy, potential_energy
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.errors import UsageError
+from asbuilt.errors import InertiaError, UsageError, refuse
+from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.virtual.drive_train import PositionController
+from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import Seed, VirtualRobot
 from asbuilt.findings import Cure
@@ -76,3 +85,222 @@ def simulate_recording(
     if tool is not None:
         robot = robot.with_tool(tool)
     return robot.with_noise(noise or PERFECT_SENSORS).record(motion, rng, rate=rate).recording
+
+
+Release = Literal["drop", "step", "free"]
+
+
+@dataclass(frozen=True, slots=True)
+class FreeMotionRules:
+    """Hold how a free motion starts and is integrated."""
+
+    step: float = 0.2
+    """Size of a step of each joint [rad]; a quarter of it [m] for sliding joints."""
+    speed: float = 0.3
+    """Speed at which a free motion starts, as a fraction of each joint's velocity limit."""
+    longest: float = 3600.0
+    """Longest free motion [s]."""
+    timestep: float = 5e-4
+    """Step of the integrator [s]."""
+    logged: int = 2
+    """Steps of the integrator per sample that is kept."""
+    diverged: float = 1e4
+    """Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
+
+
+FREE = FreeMotionRules()
+STEP_CONTROLLER = PositionController(bandwidth=3.0, feedforward="gravity")
+"""The controller of a step: gravity and a pole pair at 3 Hz, according to the model itself."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeMotion:
+    """Hold a free motion: `t` and energies [J] (N,), states and torques (N, n).
+
+    `kinetic` includes rotors, `potential` is zero at the start, `work` is done by the drives,
+    `dissipated` by friction.
+    """
+
+    model: RobotModel
+    release: Release
+    t: Array
+    q: Array
+    qd: Array
+    tau: Array
+    kinetic: Array
+    potential: Array
+    work: Array
+    dissipated: Array
+
+    @property
+    def total(self) -> Array:
+        """Kinetic and potential energy, shape (N,)."""
+        return self.kinetic + self.potential
+
+    @property
+    def imbalance(self) -> float:
+        """Largest error of the energy balance, relative to the energy turned over.
+
+        The motion is MuJoCo's, the energies are those of asbuilt's equations, so this compares
+        the two and the integrator.
+        """
+        missing = self.total - self.total[0] - self.work + self.dissipated
+        turnover = np.ptp(self.kinetic) + np.ptp(self.potential)
+        return float(
+            np.max(np.abs(missing)) / max(turnover, np.max(self.kinetic), np.finfo(float).tiny)
+        )
+
+
+def run_free(
+    model: RobotModel,
+    release: Release = "drop",
+    *,
+    duration: float = 3.0,
+    start: ArrayLike | None = None,
+    speed: ArrayLike | None = None,
+) -> FreeMotion:
+    """Simulate a robot without its controller, with the armature and friction of its description.
+
+    There are no joint stops.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    release
+        `"drop"` starts at rest, drives without torque; `"free"` has no friction either and starts
+        at 0.3 of the speed limits, so that the energy is constant; `"step"` commands 0.2 rad
+        (0.05 m) from a controller with the gravity and mass matrix of this model and its torque
+        limits.
+    duration
+        Duration [s].
+    start
+        Pose (n,), by default the one of many in which gravity torques are largest.
+    speed
+        Initial velocity (n,).
+
+    Raises
+    ------
+    UsageError
+        If pose or speed do not fit the robot, or there is no such release.
+    InertiaError
+        If the mass matrix is not positive definite during the motion, as it may be for inertias
+        identified without constraints.
+
+    Examples
+    --------
+    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> run_free(bundled_robot("two-link"), "free", duration=0.5).imbalance < 1e-6
+    True
+    """
+    further = sorted({key for joint in model.joints for key in joint.drive.terms})
+    refuse(
+        UsageError,
+        (
+            release not in get_args(Release),
+            f"there is no release {release!r}; there are {', '.join(get_args(Release))}",
+        ),
+        (
+            not (np.isfinite(duration) and duration >= 2 * FREE.timestep * FREE.logged),
+            f"the duration must be a positive number of seconds, got {duration}",
+        ),
+        (
+            further,
+            f"the drives of {model.name} have the terms {', '.join(further)}, which MuJoCo does not"
+            " simulate",
+            {"value": further},
+        ),
+    )
+    n = model.n_joints
+    armature, viscous, coulomb, offset = (
+        np.array([getattr(joint.drive, name) or 0.0 for joint in model.joints])
+        for name in ("armature", "viscous", "coulomb", "offset")
+    )
+    if release == "free":
+        viscous, coulomb, offset = np.zeros((3, n))
+    pose = _state(start, n, "start") if start is not None else heaviest_pose(model)
+    rates = FREE.speed * MotionBounds.assumed(model).velocity if release == "free" else np.zeros(n)
+    rates = rates if speed is None else _state(speed, n, "speed")
+    physics = Physics(
+        model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=FREE.timestep
+    )
+    if duration > FREE.longest:
+        raise UsageError(f"the duration must be at most {FREE.longest:g} s, got {duration:g}")
+    samples = round(duration / (FREE.timestep * FREE.logged)) + 1
+    t: Array = np.arange(samples, dtype=np.float64) * FREE.timestep * FREE.logged
+    q, qd, tau = np.empty((3, samples, n))
+    goal, limit = (
+        pose + _step(model, pose),
+        np.array([joint.limits.torque for joint in model.joints]),
+    )
+    physics.start(pose, rates)
+    with physics.quiet():
+        for k in range(samples):
+            q[k], qd[k] = physics.state
+            if not np.all(np.abs(qd[k]) < FREE.diverged):
+                raise InertiaError(
+                    f"the simulation of {model.name} diverges at t = {t[k]:.3g} s: its mass matrix"
+                    " is not positive definite there",
+                    cure=Cure(
+                        "identify physically consistent inertias, or give its joints an armature"
+                    ),
+                    time=float(t[k]),
+                )
+            tau[k] = (
+                np.clip(_pull(model, armature, q[k], qd[k], goal), -limit, limit)
+                if release == "step"
+                else 0.0
+            )
+            physics.advance(tau[k] - offset, FREE.logged)
+    ones = np.ones((samples, 1))
+    _, friction = physics.accelerations(
+        q, qd, tau - offset, coulomb=coulomb * ones, viscous=viscous * ones
+    )
+    potential = potential_energy(model, q)
+    return FreeMotion(
+        model=model,
+        release=release,
+        t=t,
+        q=q,
+        qd=qd,
+        tau=tau,
+        kinetic=kinetic_energy(model, q, qd) + 0.5 * qd**2 @ armature,
+        potential=potential - potential[0],
+        work=np.concatenate([[0.0], np.cumsum(np.sum(tau[:-1] * np.diff(q, axis=0), axis=1))]),
+        dissipated=_integral(np.sum((friction + offset) * qd, axis=1), t),
+    )
+
+
+def heaviest_pose(model: RobotModel) -> Array:
+    """Return the pose of largest gravity torque for its joints' range, out of 512, shape (n,)."""
+    bounds = MotionBounds.assumed(model)
+    poses = np.random.default_rng(0).uniform(bounds.lower, bounds.upper, (512, model.n_joints))
+    poses = np.vstack([0.5 * (bounds.lower + bounds.upper), poses])
+    return np.array(poses[int(np.argmax(np.linalg.norm(gravity_torque(model, poses), axis=1)))])
+
+
+def _pull(model: RobotModel, armature: Array, q: Array, qd: Array, goal: Array) -> Array:
+    """Return the torque of the step's controller, shape (n,)."""
+    stiffness, lead = STEP_CONTROLLER.gains(model, armature, q[None])
+    return np.asarray(gravity_torque(model, q) + stiffness[0] @ (goal - q - lead * qd))
+
+
+def _step(model: RobotModel, pose: Array) -> Array:
+    """Return a step of every joint towards the middle of its range, shape (n,)."""
+    bounds = MotionBounds.assumed(model)
+    size = np.array([FREE.step if joint.is_revolute else FREE.step / 4 for joint in model.joints])
+    return np.where(pose < 0.5 * (bounds.lower + bounds.upper), size, -size)
+
+
+def _state(values: ArrayLike, n: int, what: str) -> Array:
+    state = np.asarray(values, dtype=np.float64)
+    if state.shape != (n,) or not np.all(np.isfinite(state)):
+        raise UsageError(
+            f"{what} must be {n} finite numbers, one per joint, got {np.asarray(values).tolist()}"
+        )
+    return state
+
+
+def _integral(power: Array, t: Array) -> Array:
+    """Return the running integral by the trapezoidal rule, shape (N,)."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])

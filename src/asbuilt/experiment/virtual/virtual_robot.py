@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.description.structure.free_base import refuse_free_base
@@ -17,17 +17,25 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
-from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.motion import Motion, Trajectory, read_only
+from asbuilt.errors import UsageError, refuse
+from asbuilt.excitation.motions.motion import Motion, Trajectory
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.bodies import tilted_base, with_body
-from asbuilt.experiment.virtual.data_logger import DataLogger
-from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
-from asbuilt.experiment.virtual.joint_servo import JointServo
+from asbuilt.experiment.virtual.drive_train import (
+    DriveTrain,
+    JointServo,
+    PositionController,
+    TermDrives,
+)
 from asbuilt.experiment.virtual.physics import Physics
-from asbuilt.experiment.virtual.presets import FULL_DRIVE, Engine, preset_parts
-from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, SensorNoise, per_joint
+from asbuilt.experiment.virtual.presets import (
+    FULL_DRIVE,
+    Engine,
+    preset_parts,
+    tilted_base,
+    with_body,
+)
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, DataLogger, SensorNoise, per_joint
 from asbuilt.experiment.virtual.tracking import TrackedMotion, track
 from asbuilt.findings import Cure
 
@@ -142,24 +150,24 @@ class VirtualRobot:
                 value=self.model.joint_names,
                 expected=self.described.joint_names,
             )
-        if self.torque not in ("sensor", "motor", "current"):
-            raise UsageError(
+        refuse(
+            UsageError,
+            (
+                self.torque not in ("sensor", "motor", "current"),
                 f"torque {self.torque!r} is not one of sensor, motor, current",
-                value=self.torque,
-                available=("sensor", "motor", "current"),
-            )
-        if not 0.0 <= self.behind <= 1.0:
-            raise UsageError(
+                {"value": self.torque, "available": ("sensor", "motor", "current")},
+            ),
+            (
+                not 0.0 <= self.behind <= 1.0,
                 f"the share of friction behind the sensor must be from 0 to 1, got {self.behind}",
-                value=self.behind,
-                lower=0.0,
-                upper=1.0,
-            )
-        if isinstance(self.train, TermDrives) != (self.controller is None):
-            raise UsageError(
+                {"value": self.behind, "lower": 0.0, "upper": 1.0},
+            ),
+            (
+                isinstance(self.train, TermDrives) != (self.controller is None),
                 "a robot that follows exactly has drive terms and no controller, one in MuJoCo a"
-                " drive train and a controller"
-            )
+                " drive train and a controller",
+            ),
+        )
         if isinstance(self.train, TermDrives):
             self.train.check(self.model)
         else:
@@ -357,21 +365,18 @@ class VirtualRobot:
         seen, torque, command, note = move(motion, rng, progress)
         logged = self.logger.logged(model, self.sensors, seen, torque, command, generator)
         engine = "" if exact else f", {self.name}"
+        commanded = logged.pop("q_command")
         recording = Recording(
-            t=logged.t,
-            q=logged.q,
-            tau=logged.tau,
-            qd=logged.qd,
-            qdd=logged.qdd,
+            **cast(Any, logged),
             joint_names=model.joint_names,
             source=f"{'simulation of' if exact else 'virtual robot'} {model.name}{engine}",
             torque_source=self.torque_source,
             notes=(note,),
-            extra={} if exact else {"q_command": logged.q_command},
+            extra={} if exact else {"q_command": commanded},
         )
         if isinstance(self.controller, JointServo):
             recording = driven_by_command(
-                replace(recording, tau=np.zeros(logged.q.shape), command=logged.q_command),
+                replace(recording, tau=np.zeros(commanded.shape), command=commanded),
                 self.controller.law(model),
             )
         names = parameter_names(model, self.drive)
@@ -455,8 +460,7 @@ class VirtualRobot:
             f"simulated {how}: {motion.parametrisation} motion of {motion.duration:g} s at"
             f" {self.logger.rate:g} Hz, drive terms {self.drive}"
         )
-        torque = self.exact_torque(sampled.q, sampled.qd, sampled.qdd)
-        return sampled, torque, sampled.q, note
+        return sampled, self.exact_torque(sampled.q, sampled.qd, sampled.qdd), sampled.q, note
 
     def _controlled(
         self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None

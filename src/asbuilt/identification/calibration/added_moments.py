@@ -4,24 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import shift_matrix
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
-from asbuilt.identification.calibration.payload import (
-    FEWEST_BLOCKS,
-    LARGEST_ERROR,
-    payload_frame,
-)
+from asbuilt.identification.calibration.payload import FEWEST_BLOCKS, LARGEST_ERROR, payload_frame
 from asbuilt.identification.calibration.payload_rows import PayloadRows
 from asbuilt.identification.result.result import IdentificationResult
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 NAMES = ("mx", "my", "mz", "m")
 """First moments [kg m] in the axes of the frame, and mass [kg]."""

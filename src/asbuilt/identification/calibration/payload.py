@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import clarabel
 import numpy as np
@@ -21,6 +21,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
 from asbuilt.identification.bodies.cone_program import solve_cone_program
@@ -38,9 +39,6 @@ from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.tables import Column, Table, plus_minus, rounded
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 Arm = Literal["refined", "frozen"]
 
@@ -276,7 +274,8 @@ def identify_payload_samples(
     parameters, projected = _nearest_body(estimate, noise + gains)
     values, reported = _reported(parameters, noise + gains)
     errors, noise_errors, gain_errors = (
-        _deviations(reported @ part @ reported.T) for part in (noise + gains, noise, gains)
+        np.sqrt(np.maximum(np.diag(reported @ part @ reported.T), 0.0))
+        for part in (noise + gains, noise, gains)
     )
     determined = _determined(values, errors)
     payload = Payload(
@@ -518,10 +517,6 @@ def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
         ]
     )
     return report(parameters), slope
-
-
-def _deviations(covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def _determined(values: Array, errors: Array) -> NDArray[np.bool_]:

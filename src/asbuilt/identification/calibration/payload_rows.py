@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
@@ -17,9 +17,6 @@ from asbuilt.identification.information.square_root_information import (
 from asbuilt.identification.information.triangular import widened
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import carrying
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,12 +13,13 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.identification.errors.common_growth import BlockScores
@@ -27,9 +27,6 @@ from asbuilt.identification.errors.uncertainty import scatter_of
 from asbuilt.identification.information.held_out import motions_of
 from asbuilt.identification.information.rows import TimeBlock, sample_blocks
 from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,38 +108,40 @@ class TorqueGains:
 
     def sentences(self) -> tuple[str, ...]:
         """Return notes on the gains."""
-        said = [
-            f"given for the payload: {', '.join(self.known)}; estimated payload: {self._found()}"
-        ]
         undetermined = self._named(~self.determined)
-        if undetermined:
-            said.append(
-                f"undetermined, so {self._instead()}: {undetermined}; the payload has little"
-                " effect on these joints, or its centre or inertia is unknown"
-            )
+        instead = "identify finds it" if self.of_command else "the gain in use stays"
         turned = self.determined & (self.factors < 0)
-        if turned.any():
-            said.append(
+        small = self._named(self.payload_share < RULES.small_share)
+        notes = (
+            (
+                True,
+                f"given for the payload: {', '.join(self.known)}; estimated payload:"
+                f" {self._found()}",
+            ),
+            (
+                undetermined,
+                f"undetermined, so {instead}: {undetermined}; the payload has little"
+                " effect on these joints, or its centre or inertia is unknown",
+            ),
+            (
+                turned.any(),
                 "the torque in use has the opposite sign at"
                 f" {'every joint' if turned.all() else self._named(turned)}; these gains reverse"
-                " it, so keep all other sign settings"
-            )
-        if self.of_command:
-            said.append(
+                " it, so keep all other sign settings",
+            ),
+            (
+                self.of_command,
                 "the gains are the stiffnesses of the position servos; identify takes them as"
-                " exact, so add their relative errors to those of the torques"
-            )
-        small = self._named(self.payload_share < RULES.small_share)
-        if small:
-            said.append(
+                " exact, so add their relative errors to those of the torques",
+            ),
+            (
+                small,
                 f"the payload is below {100 * RULES.small_share:.0f} % of the torque of {small};"
                 " these gains depend on other joints and on the friction model beyond their"
-                " standard errors"
-            )
-        return tuple(said)
-
-    def _instead(self) -> str:
-        return "identify finds it" if self.of_command else "the gain in use stays"
+                " standard errors",
+            ),
+        )
+        return tuple(note for holds, note in notes if holds)
 
     def _named(self, chosen: NDArray[np.bool_]) -> str:
         return ", ".join(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,11 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.base.identifiability import StandardParameter
-from asbuilt.dynamics.drives.defaults import coupled_motor_terms
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import coupled_motor_terms
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -24,10 +24,6 @@ from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import GrowingFactor
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 LINK_SIDE = DriveSet.parse("viscous,coulomb,offset")
 MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")

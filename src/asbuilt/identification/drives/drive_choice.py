@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.dynamics.drives.defaults import on_driven_joints, usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.torque import on_driven_joints, usual_drive
 from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.effects.effect import EFFECTS
@@ -24,10 +24,6 @@ from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information.held_out import held_out_errors, neighbours
 from asbuilt.identification.information.square_root_information import accumulate_stream
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 AUTO = "auto"
 

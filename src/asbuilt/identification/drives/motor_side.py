@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.result import IdentificationResult
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +16,10 @@ from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.information.rows import SampleBlock, sample_blocks
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +58,13 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 class FittedNonlinear:
     """Hold the values of a nonlinear parameter, one per joint.
 
-    `reduction` (n,) is the fraction of the squared error that the term removes, `determined`
-    whether the data determine the value, and `at_bound` whether the best value is at an end of the
-    credible range `lowest` to `highest` (n,).
+    `determined` says whether the data determine the value, `at_bound` whether the best value is at
+    an end of the credible range `lowest` to `highest` (n,).
     """
 
     term: str
     parameter: NonlinearParameter
     values: tuple[float, ...]
-    reduction: Array
     determined: NDArray[np.bool_]
     at_bound: NDArray[np.bool_]
     lowest: Array
@@ -247,9 +242,7 @@ def _fit_one(
         float(f"{value:.4g}") for value in np.where(determined, values, parameter.default)
     )
     within = tuple(min(max(value, parameter.lower), parameter.upper) for value in stated)
-    return FittedNonlinear(
-        term.key, parameter, within, reduction, determined, at_bound, lowest, highest
-    )
+    return FittedNonlinear(term.key, parameter, within, determined, at_bound, lowest, highest)
 
 
 def credible_range(

@@ -12,7 +12,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.findings import joined
 from asbuilt.identification.effects.gathering import At, Candidate, EffectEquations
 from asbuilt.identification.effects.selection import Selection
-from asbuilt.identification.errors.omitted_bias import OmittedBias, moved_estimate, shrunken
+from asbuilt.identification.errors.bias import OmittedBias, moved_estimate, shrunken
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 
 if TYPE_CHECKING:

@@ -1,23 +1,37 @@
-"""Draws of a robot from the joint uncertainty of its result."""
+"""Draws of a robot from the joint uncertainty of its result, physically consistent."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
+from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
-from asbuilt.errors import InertiaError, UsageError
-from asbuilt.executor import Workers
+from asbuilt.errors import IdentifiabilityError, InertiaError, UsageError
+from asbuilt.executor import Workers, results_in_order
 from asbuilt.findings import Cure, joined
-from asbuilt.identification.bodies.cad_prior import cad_prior
-from asbuilt.identification.ensembles.consistent_draws import consistent_draws
+from asbuilt.identification.bodies.body_bounds import generous_bounds
+from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.bodies.entropic_fit import Coordinates
+from asbuilt.identification.bodies.entropic_path import DESCENT, EntropicPath
+from asbuilt.identification.bodies.plausible import WEAKEST
 from asbuilt.identification.errors.block_scatter import FEWEST_DEGREES, mean_degrees, widening
 from asbuilt.identification.information.known_information import determined_directions
+from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
+
+FAITHFUL = 0.1
+"""Distance of a fit from its draw, in standard errors, that changes no distribution; and share of
+its distance by which the robot next to an impossible draw may be farther."""
+AT_ONCE = 50
+"""Draws that are fitted together, whoever does it, so that the numbers do not depend on that."""
+
 
 Seed = np.random.Generator | int | None
 QUANTILES = (0.05, 0.5, 0.95)
@@ -25,6 +39,86 @@ QUANTILES = (0.05, 0.5, 0.95)
 UNLIKE = 2.5
 """Factor of the mass of a link from which a range is unlike CAD; own choice."""
 MOST = 100_000
+
+
+def consistent_draws(
+    cad: CadPrior,
+    base: BaseParameters,
+    drawn: Array,
+    information_root: Array,
+    *,
+    workers: Workers | None = None,
+) -> tuple[Array, Array]:
+    """Return the consistent parameters next to many draws, and their chi-squares.
+
+    Draw i is `min |R (K chi - beta_i)|^2 / 2 + weight D(chi || CAD)` with the largest weight of CAD
+    at which it is not a tenth of a standard error, or of its distance, farther from its draw than
+    without CAD. Where physics does not allow a draw (a negative friction, an impossible link), the
+    nearest possible one takes its place. What the recordings do not determine stays that of CAD.
+
+    Parameters
+    ----------
+    cad, base
+        CAD values, and the base parameters.
+    drawn
+        Base parameters (N, p).
+    information_root
+        R (r, p) with `R^T R` the inverse covariance.
+    workers
+        Share the parts, to the same bits; None: this process.
+
+    Returns
+    -------
+    tuple
+        Standard parameters (N, n_standard), and chi-squares `|R (K chi - beta_i)|^2` (N,).
+
+    Raises
+    ------
+    IdentifiabilityError
+        If no fit converges.
+    """
+    parts = [drawn[first : first + AT_ONCE] for first in range(0, len(drawn), AT_ONCE)]
+    fit = partial(_fitted, cad, base, information_root)
+    chi, chi_square = zip(*results_in_order(fit, parts, workers), strict=True)
+    return np.concatenate(chi), np.concatenate(chi_square)
+
+
+def _fitted(
+    cad: CadPrior, base: BaseParameters, information_root: Array, drawn: Array
+) -> tuple[Array, Array]:
+    """Return the consistent parameters next to the draws of a part, and their chi-squares."""
+    factors = np.stack([_factor(information_root, beta) for beta in drawn])
+    weights = [*DESCENT]
+    while weights[-1] > WEAKEST * 1.5:
+        weights.append(weights[-1] / 10.0)
+    fits, distances = list[Array](), list[Array]()
+    with one_blas_thread():
+        path = EntropicPath.of(cad, Coordinates.of(base), generous_bounds(cad))
+        for weight in weights:
+            try:
+                chi = path.unbarred(factors, weight)
+            except IdentifiabilityError:
+                continue
+            moved = (chi @ base.regrouping.T - drawn) @ information_root.T
+            fits.append(chi)
+            distances.append(np.linalg.norm(moved, axis=1))
+            if np.max(distances[-1]) <= FAITHFUL:
+                break
+    if not fits:
+        raise IdentifiabilityError(
+            f"no physically consistent parameters of {base.robot} were found for the draws"
+        )
+    distance = np.stack(distances)
+    nearest = distance.min(axis=0)
+    first = np.argmax(distance <= nearest + FAITHFUL * np.maximum(nearest, 1.0), axis=0)
+    every = np.arange(len(drawn))
+    return np.stack(fits)[first, every], distance[first, every] ** 2
+
+
+def _factor(root: Array, beta: Array) -> Array:
+    """Return the triangular factor of [R | R beta], shape (p + 1, p + 1)."""
+    rows = np.column_stack([root, root @ beta])
+    return triangular_factor(np.vstack([rows, np.zeros((1, len(beta) + 1))]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,18 +278,25 @@ def draw_ensemble(
     asked = np.vstack([result.estimates, drawn])
     chi, chi_square = consistent_draws(prior, result.base, asked, root, workers=workers)
     centre, chi, chi_square = chi[0], chi[1:], chi_square[1:]
-    if result.servo_errors is not None and result.servo_errors.lead:
-        notes.append(
+    far = chi_square > 1.0
+    lead = 0.0 if result.servo_errors is None else result.servo_errors.lead
+    possible = (
+        (
+            lead,
             "the lead of the servo is the identified one in every draw; its standard error is"
-            f" {1e3 * result.servo_errors.lead:.2g} ms"
-        )
-    if any(term.nonlinear for term in result.base.drive.terms):
-        notes.append("nonlinear parameters of drive terms are the identified ones in every draw")
-    if np.any(far := chi_square > 1.0):
-        notes.append(
+            f" {1e3 * lead:.2g} ms",
+        ),
+        (
+            any(term.nonlinear for term in result.base.drive.terms),
+            "nonlinear parameters of drive terms are the identified ones in every draw",
+        ),
+        (
+            np.any(far),
             f"{np.sum(far)} of {n} draws were physically impossible; the nearest possible robot"
-            " stands for each"
-        )
+            " stands for each",
+        ),
+    )
+    notes += [note for holds, note in possible if holds]
     notes += _heavy(result, chi)
     return Ensemble(result, chi, centre, kp, kd, delay, chi_square, tuple(notes))
 
@@ -203,11 +304,12 @@ def draw_ensemble(
 def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
     """Return a note on links whose mass in the draws (N, n_standard) is far from that of CAD."""
     masses = np.quantile(drawn[:, 9 : 10 * result.model.n_links : 10], QUANTILES, axis=0)
-    unlike = []
-    for link, (low, _, high) in zip(result.model.links, masses.T, strict=True):
-        cad = link.inertia.mass
-        if link.has_mass and (high > UNLIKE * cad or low < cad / UNLIKE):
-            unlike.append(f"{link.name} {low:.3g} to {high:.3g} kg, CAD {cad:.3g} kg")
+    cad = [link.inertia.mass for link in result.model.links]
+    unlike = [
+        f"{link.name} {low:.3g} to {high:.3g} kg, CAD {mass:.3g} kg"
+        for link, mass, (low, _, high) in zip(result.model.links, cad, masses.T, strict=True)
+        if link.has_mass and (high > UNLIKE * mass or low < mass / UNLIKE)
+    ]
     if not unlike:
         return []
     return [

@@ -1,9 +1,10 @@
-"""What each time block adds to the error of an estimate: the data of tests of its parameters."""
+"""What each time block adds to the error of an estimate, and how errors were estimated."""
 
 from __future__ import annotations
 
 import base64
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from scipy.special import ndtri, stdtr, stdtrit
@@ -11,6 +12,15 @@ from scipy.special import ndtri, stdtr, stdtrit
 from asbuilt.arrays import Array
 from asbuilt.codec import stored
 from asbuilt.errors import ResultError
+from asbuilt.findings import joined
+
+ErrorKind = Literal["blocks", "bootstrap", "textbook"]
+ERROR_KINDS: tuple[ErrorKind, ...] = ("blocks", "bootstrap", "textbook")
+UNSTATED = "unstated"
+"""Kind of errors in results without this information."""
+TELLING_GROWTH = 1.1
+"""Ratio of block to textbook errors above which textbook errors are reported as too small."""
+
 
 FEWEST_DEGREES = 3.0
 """Least degrees of freedom of a variance from time blocks."""
@@ -18,6 +28,68 @@ COVERED = 0.975
 """Upper quantile of the 95 % interval for which standard errors are widened."""
 MOST_GROUPS = 60
 """Blocks whose errors are kept; of more, neighbours are added up."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBasis:
+    """Hold how standard errors were estimated.
+
+    Parameters
+    ----------
+    kind
+        `"blocks"` (formula from time blocks), `"bootstrap"` (fits to time blocks drawn with
+        replacement), `"textbook"` (residuals taken as independent), `"siblings"`
+        (posterior with other robots as prior) or `"unstated"`.
+    asked
+        Requested kind, which needs enough time blocks.
+    n_blocks, block_seconds
+        Number and median length [s] of the time blocks.
+    n_draws
+        Number of bootstrap fits.
+    held_fixed
+        Choices that the bootstrap fits share.
+    growth
+        Median over parameters of block error over textbook error; None with too few blocks.
+    """
+
+    kind: str = UNSTATED
+    asked: str = UNSTATED
+    n_blocks: int = 0
+    block_seconds: float | None = None
+    n_draws: int = 0
+    held_fixed: tuple[str, ...] = ()
+    growth: float | None = None
+
+    def sentence(self, effective_samples: float, n_samples: int) -> str:
+        """Return a note with the number of effectively independent samples."""
+        worth = f"effective samples {round(effective_samples)} of {n_samples}"
+        blocks = f"{self.n_blocks} time blocks" + (
+            f" of {self.block_seconds:.3g} s" if self.block_seconds else ""
+        )
+        held = f", with {joined(self.held_fixed)} held fixed" if self.held_fixed else ""
+        sentences = {
+            "blocks": f"Standard errors (blocks): by formula from {blocks}, allowing for residual"
+            f" correlation within them ({worth}).",
+            "bootstrap": f"Standard errors (bootstrap): scatter of {self.n_draws} fits to {blocks}"
+            f" drawn with replacement{held} ({worth}).",
+            "textbook": "Standard errors (textbook): residuals taken as independent,"
+            f" {self._too_small()}.",
+            "siblings": "Standard errors (siblings): of the posterior, with the spread of the"
+            f" siblings and residual correlation ({worth}).",
+        }
+        usual = f"Standard errors allow for residual correlation ({worth})."
+        return sentences.get(self.kind, usual)
+
+    def _too_small(self) -> str:
+        if self.growth is None:
+            few = f"; {self.n_blocks} time blocks are too few to correct this"
+            return f"so TOO SMALL{few if self.asked != 'textbook' else ''}"
+        if self.growth < TELLING_GROWTH:
+            return (
+                f"which is nearly true here (errors from time blocks are {self.growth:.2g} times as"
+                " large); TOO SMALL if residuals are correlated"
+            )
+        return f"so TOO SMALL: errors from time blocks are {self.growth:.2g} times as large"
 
 
 def _packed(matrix: Array) -> dict[str, object]:

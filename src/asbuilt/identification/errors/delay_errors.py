@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,15 +16,13 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.common_growth import BlockScores
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, scatter_of, unit_variance
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import motions_of
 from asbuilt.identification.information.rows import Rows, TimeBlock, sample_blocks
 from asbuilt.identification.result.torque_prediction import torque_in_spans
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)

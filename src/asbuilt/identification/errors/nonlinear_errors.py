@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +15,11 @@ from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.tables import rounded
-
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.samples import Samples
-
 
 STEP = 1e-3
 """Relative step of a nonlinear parameter for the derivative of the torque."""

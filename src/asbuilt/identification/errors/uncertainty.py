@@ -1,4 +1,4 @@
-"""Standard errors that allow for correlated residuals, from the scatter of time blocks."""
+"""Standard errors that allow for correlated residuals, from time blocks or recordings."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.identification.errors.block_scatter import BlockScatter, widening
+from asbuilt.identification.errors.block_scatter import (
+    BlockScatter,
+    ErrorBasis,
+    ErrorKind,
+    widening,
+)
 from asbuilt.identification.errors.common_growth import BlockScores, CommonGrowth, common_growth
-from asbuilt.identification.errors.error_basis import ErrorBasis, ErrorKind
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import different_motions
 from asbuilt.identification.information.square_root_information import SquareRootInformation
@@ -19,6 +23,10 @@ MOST_LEVERAGE = 0.999
 """Largest share of the information on a direction that one block is taken to have."""
 FEWEST_BLOCKS = 8
 """Blocks below which their scatter gives no usable variance."""
+
+
+FEWEST_RECORDINGS = 4
+"""Recordings below which their scatter gives no usable variance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,12 +119,12 @@ def scatter_of(data: BlockScores, root: Array) -> Scattered:
     `root` (p, r) turns the r whitened unknowns of the fit into these. The fit of all r absorbs
     residuals, so none may be left out.
     """
-    found = corrected_moves(data.grams, data.scores, root)
+    moves, absorbed, leverage, freedom = corrected_moves(data.grams, data.scores, root)
     determined = np.any(root, axis=1)
-    typical = float(np.median(found.freedom[determined])) if determined.any() else 1.0
-    common = common_growth(data, found.moves, found.absorbed, found.leverage, typical)
-    parts = np.sqrt(common.factor) * found.moves @ root.T
-    scatter = BlockScatter.of(parts, found.freedom, common.variance)
+    typical = float(np.median(freedom[determined])) if determined.any() else 1.0
+    common = common_growth(data, moves, absorbed, leverage, typical)
+    parts = np.sqrt(common.factor) * moves @ root.T
+    scatter = BlockScatter.of(parts, freedom, common.variance)
     variance = np.sum(parts**2, axis=0) * widening(scatter.degrees_of_freedom) ** 2
     return Scattered(variance, scatter, common)
 
@@ -127,22 +135,12 @@ def unit_variance(estimate: Estimate) -> float:
     return float(np.trace(estimate.covariance)) / length if length > 0.0 else 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrectedMoves:
-    """Hold the scores of clusters of rows, corrected for their leverage as CR2 does.
+def corrected_moves(grams: Array, scores: Array, root: Array) -> tuple[Array, Array, float, Array]:
+    """Return scores of clusters corrected for their leverage as CR2 does, and what follows.
 
-    `moves` (B, rank) are `(1 - M_b)^(-1/2) g_b`, `absorbed` (B, rank, rank) `(1 - M_b)^(-1/2) M_b`,
-    `leverage` is the trace of all M_b, `freedom` (p,) the degrees of freedom of each variance.
-    """
-
-    moves: Array
-    absorbed: Array
-    leverage: float
-    freedom: Array
-
-
-def corrected_moves(grams: Array, scores: Array, root: Array) -> CorrectedMoves:
-    """Return the moves of clusters with information (B, rank, rank) and scores (B, rank).
+    The moves `(1 - M_b)^(-1/2) g_b` (B, rank), what the fit absorbs `(1 - M_b)^(-1/2) M_b`
+    (B, rank, rank), the trace of all M_b, and the degrees of freedom (p,) of each variance, for
+    clusters with information M_b (B, rank, rank) and scores g_b (B, rank).
 
     `root` (p, rank) is the inverse root, by which moves become changes of parameters.
     """
@@ -161,7 +159,7 @@ def corrected_moves(grams: Array, scores: Array, root: Array) -> CorrectedMoves:
             absorbed[b] = (axes * (leverage / np.sqrt(1.0 - leverage))) @ axes.T
             trace += float(leverage.sum())
         freedom = _degrees_of_freedom(leverages, weight)
-    return CorrectedMoves(moves, absorbed, trace, freedom)
+    return moves, absorbed, trace, freedom
 
 
 def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
@@ -225,3 +223,28 @@ def _degrees_of_freedom(leverages: Array, weight: Array) -> Array:
     freedom = np.full(len(square), float(len(leverages) - 1))
     np.divide(trace**2, square, out=freedom, where=square > 0)
     return freedom
+
+
+def recording_variances(information: SquareRootInformation, estimate: Estimate) -> Array:
+    """Return the variances (p,) of base parameters with whole recordings as clusters.
+
+    Blocks of one recording share what the model lacks in its motion, such as a law of the servo
+    that only steps show; then the scatter of blocks is too small, and that of recordings is not
+    (CR2, as in `block_uncertainty`, Student's quantile of its few degrees of freedom included).
+    Zero if there are fewer than `FEWEST_RECORDINGS`.
+    """
+    sources = [block.source for block in information.blocks]
+    names = list(dict.fromkeys(sources))
+    if len(names) < FEWEST_RECORDINGS or estimate.rank == 0:
+        return np.zeros(len(estimate.beta))
+    number = np.array([names.index(each) for each in sources])
+    grams, scores = block_scores(information, estimate)
+    members = [number == k for k in range(len(names))]
+    root = estimate.solution.inverse_root
+    moves, _, _, freedom = corrected_moves(
+        np.array([grams[each].sum(axis=0) for each in members]),
+        np.array([scores[each].sum(axis=0) for each in members]),
+        root,
+    )
+    variance = np.sum((moves @ root.T) ** 2, axis=0)
+    return np.asarray(variance * widening(freedom) ** 2)

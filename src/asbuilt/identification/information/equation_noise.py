@@ -21,7 +21,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.contact import contact_basis
-from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,

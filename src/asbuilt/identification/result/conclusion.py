@@ -18,9 +18,9 @@ from asbuilt.identification.bodies.consistency import (
     margin_is_consistent,
     non_passive_drives,
 )
+from asbuilt.identification.errors.bias import OmittedBias
 from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
-from asbuilt.identification.errors.omitted_bias import OmittedBias
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from asbuilt.findings import Cure, Finding, joined
-from asbuilt.identification.errors.error_basis import TELLING_GROWTH
+from asbuilt.identification.errors.block_scatter import TELLING_GROWTH
 from asbuilt.identification.errors.uncertainty import Uncertainty
 from asbuilt.identification.estimators.least_squares import LARGE_CONDITION
 from asbuilt.identification.estimators.methods import methods

@@ -15,14 +15,13 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.command.saturation import outside_saturation
 from asbuilt.experiment.command.servo_torque import (
     CommandCurve,
     command_rate,
     held_command,
     logged_velocity,
 )
-from asbuilt.experiment.command.slow_motion import moving_faster
+from asbuilt.experiment.command.usable_samples import moving_faster, outside_saturation
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.prepared_motion import MotionFilters, PreparedMotion

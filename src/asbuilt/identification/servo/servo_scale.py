@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.terms.offset import Offset
+from asbuilt.dynamics.drives.terms.friction import Offset
 from asbuilt.identification.servo.block_fits import block_weights, clustered
 from asbuilt.identification.servo.servo_rows import ServoRows
 

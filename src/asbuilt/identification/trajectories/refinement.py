@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.identification.errors.between_recordings import FEWEST_RECORDINGS
+from asbuilt.identification.errors.uncertainty import FEWEST_RECORDINGS
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
 from asbuilt.identification.trajectories.sensitivity import Motion
 

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
+from asbuilt.description import LinkInertia, RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import UsageError
 from asbuilt.identification.errors.block_scatter import (

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from dataclasses import fields as dataclass_fields
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
+from asbuilt.codec import plain
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
@@ -17,12 +18,10 @@ from asbuilt.tables import (
     Table,
     beside,
     deviation,
-    percent,
-    rounded,
+    estimated,
     share,
-    significant,
 )
-from asbuilt.validation.comparison.torque_cost import MATTERS
+from asbuilt.validation.comparison.torque_change import MATTERS
 
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
 
@@ -68,20 +67,60 @@ class ComparedParameter:
     @property
     def interval(self) -> tuple[float, float] | None:
         """The 95 % interval of the value as built."""
-        return (
-            None
-            if self.std_error is None
-            else (self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error)
-        )
+        if self.std_error is None:
+            return None
+        return self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts, ready for JSON."""
-        fields: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
-        return fields | {
-            "interval": None if self.interval is None else list(self.interval),
-            "torque": None if self.torque is None else list(self.torque),
-            "shared_with": list(self.shared_with),
-        }
+        return dict(plain(self)) | {"interval": plain(self.interval)}
+
+
+def _std_error(parameter: ComparedParameter) -> Cell:
+    if parameter.verdict == "dropped":
+        return Shown(parameter.std_error, DROPPED)
+    return estimated(parameter.estimate, parameter.std_error)[1]
+
+
+def _cad(parameter: ComparedParameter) -> Cell:
+    cad = parameter.cad
+    return None if cad is None else Shown(cad, beside(cad, parameter.std_error))
+
+
+def _outcome(parameter: ComparedParameter) -> Cell:
+    """Return the verdict, or the standard errors by which a parameter that agrees is off."""
+    agreeing = deviation(parameter.sigmas, np.inf)
+    outcome = {"differs": "DIFFERS", "agrees": agreeing}.get(parameter.verdict, parameter.verdict)
+    return outcome if parameter.sigmas is None else Shown(parameter.sigmas, outcome)
+
+
+def _own_part(parameter: ComparedParameter) -> float | None:
+    own, total = parameter.torque_own, parameter.torque_total
+    return own / total if own is not None and total else None
+
+
+COLUMNS = (
+    Column("id", align="right", of="id"),
+    Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
+    Column("description", detail=True, of="words"),
+    Column("unit", of="unit"),
+    Column("CAD", align="decimal", of=_cad),
+    Column("as built", align="decimal", of=lambda p: estimated(p.estimate, p.std_error)[0]),
+    Column("std err", align="decimal", of=_std_error),
+    Column("%", align="decimal", detail=True, of=lambda p: estimated(p.estimate, p.std_error)[2]),
+    Column("vs CAD", align="right", of=_outcome),
+)
+TORQUE_COLUMNS = (
+    Column("its own", "", "right", partial(share, digits=0), detail=True, of=_own_part),
+    Column(
+        "joint",
+        align="right",
+        detail=True,
+        of=lambda p: f"{1 + int(np.argmax(p.torque))}" if p.torque_total else "",
+    ),
+    Column("matters", detail=True, of=lambda p: matters_text(p.matters, p.shared_with)),
+)
+"""Further columns where the torque of differences is known."""
 
 
 def parameter_table(
@@ -92,58 +131,12 @@ def parameter_table(
     units: Sequence[str] = (),
 ) -> Table:
     """Return the table of compared parameters; its short text has the ten that matter most."""
-    with_torque = any(parameter.torque_total is not None for parameter in parameters)
-    heads = [
-        Column("id", align="right"),
-        Column("parameter", width=EXPRESSION_WIDTH),
-        Column("description", detail=True),
-        Column("unit"),
-        Column("CAD", align="decimal"),
-        Column("as built", align="decimal"),
-        Column("std err", align="decimal"),
-        Column("%", align="decimal", detail=True),
-        Column("vs CAD", align="right"),
-    ]
-    if with_torque:
-        unit = "N m" if set(units) <= {"N m"} else "N m, N"
-        heads += [
-            Column("torque", unit, "decimal"),
-            Column("its own", align="right", detail=True),
-            Column("joint", align="right", detail=True),
-            Column("matters", detail=True),
-        ]
-    rows = []
-    for parameter in parameters:
-        shown, error = rounded(parameter.estimate, parameter.std_error)
-        cad = (
-            None
-            if parameter.cad is None
-            else Shown(parameter.cad, beside(parameter.cad, parameter.std_error))
-        )
-        outcome = _outcome(parameter)
-        relative = None
-        if parameter.std_error is not None and parameter.estimate:
-            relative = 100.0 * abs(parameter.std_error / parameter.estimate)
-        row: list[Cell] = [
-            parameter.id,
-            parameter.expression,
-            parameter.words,
-            parameter.unit,
-            cad,
-            Shown(parameter.estimate, shown),
-            Shown(parameter.std_error, DROPPED if parameter.verdict == "dropped" else error),
-            Shown(relative, percent(parameter.estimate, parameter.std_error)),
-            Shown(parameter.sigmas, outcome) if parameter.sigmas is not None else outcome,
-        ]
-        if with_torque:
-            row += _torque_cells(parameter)
-        rows.append(tuple(row))
-    rule = (
-        f"DIFFERS: false discovery rate of {share(level, 0)} over all parameters (Benjamini and"
-        " Hochberg)."
-    )
+    columns: tuple[Column, ...] = COLUMNS
     details = [errors] if errors else []
-    if with_torque:
+    if any(parameter.torque_total is not None for parameter in parameters):
+        unit = "N m" if set(units) <= {"N m"} else "N m, N"
+        torque = Column("torque", unit, "decimal", 3, of="torque_total")
+        columns = (*COLUMNS, torque, *TORQUE_COLUMNS)
         details.append(
             "torque: RMS over all joints of the torque of the difference on the validation motion;"
             " its own: the part that no other parameter can make up for; joint: the one with the"
@@ -151,18 +144,11 @@ def parameter_table(
             f" {share(MATTERS, 0)} of a joint's error as built. Shared: only the whole is, and the"
             " parameters named could make up for the rest."
         )
-    return Table(
-        tuple(heads),
-        tuple(rows),
-        title="Base parameters",
-        notes=(rule,),
-        details=tuple(details),
-        important=_important(parameters),
+    rule = (
+        f"DIFFERS: false discovery rate of {share(level, 0)} over all parameters (Benjamini and"
+        " Hochberg)."
     )
-
-
-def _important(parameters: Sequence[ComparedParameter]) -> tuple[int, ...]:
-    """Return the places of the parameters that differ most: by their own torque, or by sigmas."""
+    # Those that differ most are important: by their own torque, or by standard errors.
     most = sorted(
         range(len(parameters)),
         key=lambda k: (
@@ -171,27 +157,13 @@ def _important(parameters: Sequence[ComparedParameter]) -> tuple[int, ...]:
             -abs(parameters[k].sigmas or 0.0),
         ),
     )
-    return tuple(most[:MOST_PARAMETERS])
-
-
-def _torque_cells(parameter: ComparedParameter) -> list[Cell]:
-    if parameter.torque is None or parameter.torque_total is None or parameter.torque_own is None:
-        return [None, None, "", ""]
-    own = parameter.torque_own / parameter.torque_total if parameter.torque_total else None
-    felt = f"{1 + int(np.argmax(parameter.torque))}" if parameter.torque_total else ""
-    return [
-        Shown(parameter.torque_total, significant(parameter.torque_total)),
-        Shown(own, share(own, 0)),
-        felt,
-        matters_text(parameter.matters, parameter.shared_with),
-    ]
-
-
-def _outcome(parameter: ComparedParameter) -> str:
-    if parameter.verdict == "differs":
-        return "DIFFERS"
-    return (
-        deviation(parameter.sigmas, np.inf) if parameter.verdict == "agrees" else parameter.verdict
+    return Table.of(
+        parameters,
+        columns,
+        "Base parameters",
+        notes=(rule,),
+        details=tuple(details),
+        important=tuple(most[:MOST_PARAMETERS]),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +13,15 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
 from asbuilt.findings import joined
+from asbuilt.identification import CauseData, IdentificationResult, TorqueMetrics
 from asbuilt.identification.errors.block_scatter import student_probability
-from asbuilt.identification.information.cause_data import CauseData
-from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.tables import Table, share, significant, stacked, wrapped
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
-from asbuilt.validation.comparison.compared_parameter import ComparedParameter, parameter_table
+from asbuilt.validation.comparison.compared_parameter import (
+    ComparedParameter,
+    Verdict,
+    parameter_table,
+)
 from asbuilt.validation.comparison.equal_terms import tested_values
 from asbuilt.validation.comparison.parameter_text import parameter_texts
 from asbuilt.validation.comparison.significance import (
@@ -26,12 +29,8 @@ from asbuilt.validation.comparison.significance import (
     benjamini_hochberg,
     holm,
 )
-from asbuilt.validation.comparison.torque_change import torque_error_table
-from asbuilt.validation.comparison.torque_cost import torque_cost
+from asbuilt.validation.comparison.torque_change import torque_cost, torque_error_table
 from asbuilt.validation.prediction import Validation, cad_values, torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 FALSE_DISCOVERY_RATE = 0.05
 """Expected share of wrong ones among the parameters that differ (usual level)."""
@@ -91,12 +90,9 @@ class Comparison:
     @property
     def n_mattering(self) -> int | None:
         """Number of parameters that differ and matter to the torque; None if that is unknown."""
-        known = [parameter for parameter in self.parameters if parameter.matters is not None]
-        return (
-            sum(bool(parameter.matters) and parameter.verdict == "differs" for parameter in known)
-            if known
-            else None
-        )
+        if all(parameter.matters is None for parameter in self.parameters):
+            return None
+        return sum(bool(each.matters) and each.verdict == "differs" for each in self.parameters)
 
     @property
     def ranked(self) -> tuple[ComparedParameter, ...]:
@@ -112,33 +108,26 @@ class Comparison:
 
     def verdict(self) -> str:
         """Return the outcome in one or two sentences."""
-        if not self.n_compared:
-            text = "No parameter has a CAD value."
-            return f"{text} {self._torque_as_built()}" if self.torque else text
+        matter = (
+            ""
+            if self.n_mattering is None
+            else f"; {self.n_mattering} of them matter{'s' if self.n_mattering == 1 else ''} to the"
+            " torque"
+        )
         text = (
             f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ"
-            f" ({self.rule()})."
+            f" ({self.rule()}){matter}."
+            if self.n_compared
+            else "No parameter has a CAD value."
         )
-        if self.n_mattering is not None:
-            text = (
-                f"{text[:-1]}; {self.n_mattering} of them"
-                f" matter{'s' if self.n_mattering == 1 else ''} to the torque."
-            )
         if not self.torque:
             return text
         cad, built = self.torque[0]
-        if cad is None:
-            return f"{text} {self._torque_as_built()}"
+        error, source = share(built.relative_error), recording_name(built.source)
+        if cad is None or not self.n_compared:
+            return f"{text} Torque error as built {error} on {source}."
         return (
-            f"{text} Torque error on {recording_name(built.source)}: CAD"
-            f" {share(cad.relative_error)}, as built {share(built.relative_error)}."
-        )
-
-    def _torque_as_built(self) -> str:
-        built = self.torque[0][1]
-        return (
-            f"Torque error as built {share(built.relative_error)} on"
-            f" {recording_name(built.source)}."
+            f"{text} Torque error on {source}: CAD {share(cad.relative_error)}, as built {error}."
         )
 
     def rule(self) -> str:
@@ -268,56 +257,41 @@ def compare(
     freedom = result.degrees_of_freedom
     p_values = student_probability(sigmas, freedom[tested])
     discovery, strict = benjamini_hochberg(p_values), holm(p_values)
-    cost = (
-        None
-        if result.cause_data is None
-        else torque_cost(result.cause_data, result.base, result.estimates - values)
-    )
-    left = (
-        None
-        if result.cause_data is None
-        else result.cause_data.error_of(result.base.names, result.estimates)
-    )
-    texts = parameter_texts(result.base)
-    compared, place = [], 0
-    for j, (parameter, by_design) in enumerate(
+    tests = iter(zip(sigmas, p_values, discovery, strict, strict=True))
+    cause_data, texts = result.cause_data, parameter_texts(result.base)
+    if cause_data is not None:
+        cost = torque_cost(cause_data, result.base, result.estimates - values)
+        left = cause_data.error_of(result.base.names, result.estimates)
+    compared = []
+    for j, (parameter, cad_value) in enumerate(
         zip(result.parameters, values.tolist(), strict=True)
     ):
-        known = by_design if np.isfinite(by_design) else None
+        error, known = parameter.std_error, np.isfinite(cad_value)
+        missing: Verdict = "no CAD value" if determined[j] else "not determined"
         found = ComparedParameter(
             id=parameter.id,
             name=parameter.name,
             expression=parameter.expression,
             unit=parameter.unit,
-            cad=known,
+            cad=cad_value if known else None,
             estimate=parameter.estimate,
-            std_error=(
-                parameter.std_error
-                if np.isfinite(parameter.std_error) and parameter.std_error > 0
-                else None
-            ),
+            std_error=error if np.isfinite(error) and error > 0 else None,
             sigmas=None,
-            verdict=(
-                "dropped"
-                if parameter.dropped
-                else "no CAD value"
-                if determined[j]
-                else "not determined"
-            ),
+            verdict="dropped" if parameter.dropped else missing,
             words=texts[j],
         )
         if tested[j]:
+            off, p_value, false_discovery, familywise = map(float, next(tests))
             found = replace(
                 found,
-                sigmas=float(sigmas[place]),
+                sigmas=off,
                 degrees_of_freedom=float(freedom[j]) if np.isfinite(freedom[j]) else None,
-                verdict="differs" if discovery[place] <= level else "agrees",
-                p_value=float(p_values[place]),
-                false_discovery=float(discovery[place]),
-                holm=float(strict[place]),
+                verdict="differs" if false_discovery <= level else "agrees",
+                p_value=p_value,
+                false_discovery=false_discovery,
+                holm=familywise,
             )
-            place += 1
-        if cost is not None and left is not None and known is not None:
+        if cause_data is not None and known:
             found = replace(
                 found,
                 torque=tuple(cost.torque[j].tolist()),
@@ -391,16 +365,13 @@ def recording_name(source: str) -> str:
     """
     whole, _, rule = source.partition(HELD_OUT)
     names = ", ".join(PurePath(part).name or part for part in whole.split(", "))
-    return f"{names} ({_rule_text(rule)})" if rule else names
-
-
-def _rule_text(rule: str) -> str:
-    """Return a rule of `hold_out` as text."""
+    if not rule:
+        return names
     part = parse_rule(rule)
     if isinstance(part, Blocks):
         ordinal = {2: "second", 3: "third"}.get(part.every, f"{part.every}th")
-        return f"every {ordinal} {part.seconds:g} s"
-    return f"the last {share(part.share, 0)}"
+        return f"{names} (every {ordinal} {part.seconds:g} s)"
+    return f"{names} (the last {share(part.share, 0)})"
 
 
 def _paired(
@@ -420,15 +391,9 @@ def _paired(
         )
     if result.cause_data is None or not result.validation:
         return tuple((None, metrics) for metrics in measured)
-    return (
-        (
-            _evident_metrics(
-                result, result.cause_data, np.nan_to_num(values, nan=0.0), measured[0]
-            ),
-            measured[0],
-        ),
-        *((None, m) for m in measured[1:]),
-    )
+    beta = np.nan_to_num(values, nan=0.0)
+    evident = _evident_metrics(result, result.cause_data, beta, measured[0])
+    return ((evident, measured[0]), *((None, metrics) for metrics in measured[1:]))
 
 
 def _evident_metrics(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from asbuilt.errors import ResultError
 from asbuilt.identification.errors.block_scatter import student_probability
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
@@ -17,8 +18,7 @@ from asbuilt.tables import (
     Table,
     beside,
     deviation,
-    rounded,
-    significant,
+    estimated,
     stacked,
     wrapped,
 )
@@ -42,14 +42,10 @@ from asbuilt.validation.comparison.torque_change import (
     JointChange,
     joint_changes,
     joint_table,
+    torque_cost,
     torque_sentence,
 )
-from asbuilt.validation.comparison.torque_cost import torque_cost
 from asbuilt.validation.prediction import cad_values, torque_units
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-
 
 MOST_SENTENCES = 4
 
@@ -117,54 +113,36 @@ class Drift:
         changed
             Only those that changed significantly, or only the others; None: all.
         """
-        heads = (
-            Column("id", align="right"),
-            Column("parameter", width=EXPRESSION_WIDTH),
-            Column("description", detail=True),
-            Column("unit"),
-            *(
-                Column(name, align="decimal", width=20)
-                for name in ((self.before, self.after) if self.of_models else ("before", "after"))
-            ),
-            Column("std err", align="decimal"),
-            Column("difference" if self.of_models else "change", align="right"),
-            Column("torque", "N m" if {*self.units} <= {"N m"} else "N m, N", "decimal"),
-            Column("joint", align="right", detail=True),
-            Column("matters", detail=True),
-        )
-        rows: list[tuple[Cell, ...]] = []
-        beyond_doubt = "DIFFERS" if self.of_models else "CHANGED"
-        for each in self.ranked:
-            if changed is not None and each.changed is not changed:
-                continue
-            error = float(np.hypot(each.before_error, each.after_error))
-            outcome = (
-                beyond_doubt
-                if each.changed
-                else (
-                    DROPPED
-                    if each.dropped
-                    else "not determined"
-                    if each.sigmas is None
-                    else deviation(each.sigmas, np.inf)
-                )
-            )
-            rows.append(
-                (
-                    each.id,
-                    each.expression,
-                    each.words,
-                    each.unit,
-                    Shown(each.before, beside(each.before, error)),
-                    Shown(each.after, rounded(each.after, error)[0]),
-                    Shown(error, rounded(each.after, error)[1]),
-                    Shown(each.sigmas, outcome) if each.sigmas is not None else outcome,
-                    Shown(each.torque_total, significant(each.torque_total)),
-                    each.felt_at if each.felt_at is not None else "",
-                    matters_text(each.matters, each.shared_with),
-                )
-            )
+        names = (self.before, self.after) if self.of_models else ("before", "after")
         change, which = ("difference", "second") if self.of_models else ("change", "later")
+        columns = (
+            Column("id", align="right", of="id"),
+            Column("parameter", width=EXPRESSION_WIDTH, of="expression"),
+            Column("description", detail=True, of="words"),
+            Column("unit", of="unit"),
+            Column(
+                names[0],
+                align="decimal",
+                width=20,
+                of=lambda each: Shown(each.before, beside(each.before, each.error)),
+            ),
+            Column(names[1], align="decimal", width=20, of=lambda each: _values(each)[0]),
+            Column("std err", align="decimal", of=lambda each: _values(each)[1]),
+            Column(change, align="right", of=self._outcome),
+            Column(
+                "torque",
+                "N m" if {*self.units} <= {"N m"} else "N m, N",
+                "decimal",
+                3,
+                of="torque_total",
+            ),
+            Column("joint", align="right", detail=True, of=lambda each: each.felt_at or ""),
+            Column(
+                "matters",
+                detail=True,
+                of=lambda each: matters_text(each.matters, each.shared_with),
+            ),
+        )
         note = (
             f"std err: of the {change}; torque: RMS over all joints on the validation motion of the"
             f" {which} result; joint: the one with the most. A {change} matters if it is"
@@ -176,18 +154,28 @@ class Drift:
             True: f"Parameters that {self._changed} significantly",
             False: "Parameters within errors, or not tested",
         }
-        return Table(
-            heads,
-            tuple(rows),
-            title=title[changed],
+        shown = [each for each in self.ranked if changed in (None, each.changed)]
+        # In a short text, changed parameters with the most torque, then others.
+        order = sorted(range(len(shown)), key=lambda k: not shown[k].changed)
+        return Table.of(
+            shown,
+            columns,
+            title[changed],
             details=(note,),
-            important=self._important() if changed is None else None,
+            important=tuple(order[:MOST_PARAMETERS]) if changed is None else None,
         )
 
-    def _important(self) -> tuple[int, ...]:
-        """Return the places of the changed parameters with the most torque, then of others."""
-        order = sorted(range(len(self.ranked)), key=lambda k: not self.ranked[k].changed)
-        return tuple(order[:MOST_PARAMETERS])
+    def _outcome(self, change: ParameterChange) -> Cell:
+        """Return whether a parameter changed, or by how many standard errors it is off."""
+        if change.changed:
+            outcome = "DIFFERS" if self.of_models else "CHANGED"
+        elif change.dropped:
+            outcome = DROPPED
+        else:
+            outcome = deviation(change.sigmas, np.inf)
+        if change.sigmas is not None:
+            return Shown(change.sigmas, outcome)
+        return outcome if change.changed or change.dropped else "not determined"
 
     def as_text(self, full: bool = False) -> str:
         """Return verdict, sentences and tables for a terminal.
@@ -356,6 +344,10 @@ def compare_results(
         joints=joints,
         of_models=of_models,
     )
+
+
+def _values(change: ParameterChange) -> tuple[Shown, Shown, Shown]:
+    return estimated(change.after, change.error)
 
 
 def _number(value: float) -> float | None:

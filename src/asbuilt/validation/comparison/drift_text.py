@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Mask
 from asbuilt.findings import joined
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import rounded
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 LARGEST_GROWTH = 3.0
 """Largest relative change given in percent; beyond it the first value was near zero."""
@@ -53,6 +50,11 @@ class ParameterChange:
     dropped: bool = False
     shared_with: tuple[str, ...] = ()
 
+    @property
+    def error(self) -> float:
+        """Standard error of the change."""
+        return float(np.hypot(self.before_error, self.after_error))
+
 
 def other_drives_sentence(
     before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
@@ -85,12 +87,11 @@ def other_drives_sentence(
 
 def dropped_sentence(dropped: Mask) -> tuple[str, ...]:
     """Return a sentence if parameters were dropped and so not tested."""
-    if not dropped.any():
-        return ()
-    return (
+    sentence = (
         f"{np.count_nonzero(dropped)} parameters that one result or both dropped are not tested;"
-        " their torque counts as change.",
+        " their torque counts as change."
     )
+    return (sentence,) if dropped.any() else ()
 
 
 def friction_sentences(
@@ -108,29 +109,27 @@ def friction_sentences(
             change = by_name.get(f"{symbol}{k + 1}")
             if change is None or not change.changed:
                 continue
-            growth = (
-                change.after / change.before - 1
-                if change.before > 3 * change.before_error
-                else np.inf
-            )
-            relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= LARGEST_GROWTH else ""
-            traded = (
-                f" (correlated with {joined(change.shared_with)})" if change.shared_with else ""
-            )
-            before, after = (
-                _shown(change.before, change.before_error),
-                _shown(change.after, change.after_error),
-            )
-            values = (
-                f"{before} to {after} {change.unit}"
-                if models is None
-                else f"{before} ({models[0]}) against {after} {change.unit} ({models[1]})"
-            )
-            parts.append(f"{what} {values}{relative}{traded}")
+            parts.append(f"{what} {_change_text(change, models)}")
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")
     return tuple(found) or (f"No drive term {'differs' if models else 'changed'} significantly.",)
 
 
-def _shown(value: float, error: float) -> str:
-    return rounded(value, error if error > 0 else None)[0]
+def _change_text(change: ParameterChange, models: tuple[str, ...] | None) -> str:
+    """Return both values of a parameter, by how much it grew, and with what it is correlated."""
+    before, after = (
+        rounded(value, error if error > 0 else None)[0]
+        for value, error in (
+            (change.before, change.before_error),
+            (change.after, change.after_error),
+        )
+    )
+    text = (
+        f"{before} to {after} {change.unit}"
+        if models is None
+        else f"{before} ({models[0]}) against {after} {change.unit} ({models[1]})"
+    )
+    if change.before > 3 * change.before_error:
+        growth = change.after / change.before - 1
+        text += f" ({100 * growth:+.0f} %)" if abs(growth) <= LARGEST_GROWTH else ""
+    return text + (f" (correlated with {joined(change.shared_with)})" if change.shared_with else "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +13,8 @@ from asbuilt.identification.errors.block_scatter import (
     summed_degrees,
     widening,
 )
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.comparison.significance import ChiSquare, chi_square, joint_test
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
-
 
 FREE_METHOD = "wls"
 """The estimator of `FreeValues`."""
@@ -57,14 +53,13 @@ class ComparedValues:
         found = result.free
         if found is None:
             return cls.own(result)
-        none = np.zeros(len(found.estimates), dtype=np.bool_)
         return cls(
             found.estimates,
             found.covariance,
             found.std_errors,
             found.textbook_std_errors,
             found.determined,
-            none,
+            np.zeros(len(found.estimates), dtype=np.bool_),
             found.scatter,
         )
 
@@ -80,12 +75,11 @@ class ComparedValues:
     @property
     def textbook_covariance(self) -> Array:
         """Covariance (p, p) with the same correlations and textbook variances."""
-        usable = self.std_errors > 0
         shrink = np.divide(
             self.textbook_std_errors,
             self.std_errors,
             out=np.zeros_like(self.std_errors),
-            where=usable,
+            where=self.std_errors > 0,
         )
         return np.asarray(self.covariance * np.outer(shrink, shrink))
 

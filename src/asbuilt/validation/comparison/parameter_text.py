@@ -7,9 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from asbuilt.description.inertia import PARAMETER_NAMES
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics import BaseParameters, DriveSet, DriveTerm
 
 
 def parameter_texts(base: BaseParameters) -> tuple[str, ...]:

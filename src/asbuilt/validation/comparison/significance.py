@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtrc, fdtrc, ndtr
 
+from asbuilt.arrays import Array, Indices
 from asbuilt.identification.errors.common_growth import effective_rank
 from asbuilt.tables import significant
-
-Array = NDArray[np.float64]
 
 SMALLEST_EIGENVALUE = 1e-10
 """Eigenvalue of a correlation matrix, relative to the largest, that counts as zero."""
@@ -37,12 +36,9 @@ def benjamini_hochberg(probabilities: ArrayLike) -> Array:
     >>> benjamini_hochberg([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.04, 0.04]
     """
-    p = np.asarray(probabilities, dtype=np.float64)
-    order = np.argsort(p)
-    stepped = np.minimum.accumulate((p[order] * len(p) / np.arange(1, len(p) + 1))[::-1])[::-1]
-    adjusted = np.empty_like(p)
-    adjusted[order] = np.minimum(stepped, 1.0)
-    return adjusted
+    p, order = _in_order(probabilities)
+    stepped = np.minimum.accumulate((p * len(p) / np.arange(1, len(p) + 1))[::-1])[::-1]
+    return np.minimum(stepped, 1.0)[np.argsort(order)]
 
 
 def holm(probabilities: ArrayLike) -> Array:
@@ -53,12 +49,16 @@ def holm(probabilities: ArrayLike) -> Array:
     >>> holm([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.06, 0.06]
     """
+    p, order = _in_order(probabilities)
+    stepped = np.maximum.accumulate(p * np.arange(len(p), 0, -1))
+    return np.minimum(stepped, 1.0)[np.argsort(order)]
+
+
+def _in_order(probabilities: ArrayLike) -> tuple[Array, Indices]:
+    """Return values in ascending order, and the place that each of them had."""
     p = np.asarray(probabilities, dtype=np.float64)
     order = np.argsort(p)
-    stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    adjusted = np.empty_like(p)
-    adjusted[order] = np.minimum(stepped, 1.0)
-    return adjusted
+    return p[order], order
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,22 +100,26 @@ def chi_square(
     (4.0, 2, 0.135)
     """
     d, C = np.asarray(difference, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
-    size = np.sqrt(np.diag(C))
-    known = size > 0
+    known = np.diag(C) > 0
     if not known.any():
         return ChiSquare(0.0, 0, 1.0)
-    size = size[known]
-    eigenvalues, vectors = np.linalg.eigh(C[np.ix_(known, known)] / np.outer(size, size))
-    kept = eigenvalues > SMALLEST_EIGENVALUE * eigenvalues[-1]
-    whitened = (vectors[:, kept].T @ (d[known] / size)) / np.sqrt(eigenvalues[kept])
-    statistic = float(whitened @ whitened)
-    rank = int(kept.sum())
+    size, variances, vectors = _directions(C[np.ix_(known, known)])
+    whitened = (vectors.T @ (d[known] / size)) / np.sqrt(variances)
+    statistic, rank = float(whitened @ whitened), len(whitened)
     return ChiSquare(
         statistic,
         rank,
         _tail(statistic / rank, rank, degrees_of_freedom),
         (float(rank), rank * degrees_of_freedom) if np.isfinite(degrees_of_freedom) else None,
     )
+
+
+def _directions(covariance: Array) -> tuple[Array, Array, Array]:
+    """Return standard errors (p,), and variances (r,) and directions (p, r) of the correlation."""
+    size = np.sqrt(np.diag(covariance))
+    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    kept = eigenvalues > SMALLEST_EIGENVALUE * eigenvalues[-1]
+    return size, eigenvalues[kept], vectors[:, kept]
 
 
 def joint_test(
@@ -140,17 +144,14 @@ def joint_test(
     (0.0, 1.0)
     """
     d, C, M = (np.asarray(each, dtype=np.float64) for each in (difference, covariance, moves))
-    size = np.sqrt(np.diag(C))
-    known = size > 0
+    known = np.diag(C) > 0
     if not known.any() or not np.any(M[:, known]):
         return ChiSquare(0.0, 0, 1.0)
-    size = size[known]
-    eigenvalues, vectors = np.linalg.eigh(C[np.ix_(known, known)] / np.outer(size, size))
-    kept = eigenvalues > SMALLEST_EIGENVALUE * eigenvalues[-1]
-    whitening = vectors[:, kept] / np.sqrt(eigenvalues[kept])
+    size, variances, vectors = _directions(C[np.ix_(known, known)])
+    whitening = vectors / np.sqrt(variances)
     u, g = (d[known] / size) @ whitening, (M[:, known] / size) @ whitening
     own = np.sum(g**2, axis=1)
-    trace, f, rank = float(own.sum()), effective_rank(g), int(kept.sum())
+    trace, f, rank = float(own.sum()), effective_rank(g), len(u)
     unequal = trace**2 * (1.0 + 2.0 / f) / float((own**2).sum())
     nu = min(float(np.mean(np.asarray(degrees_alone)[known])), unequal)
     f2 = 2.0 / (2.0 / (f * nu) + common_variance)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Finding, joined
-from asbuilt.identification.bodies.consistency import non_passive_drives
+from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.result.as_built_parameters import FAR_FROM_CAD, as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import significant
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.rules import DIMMING, OF_TORQUE, RULES
 from asbuilt.validation.verdicts.verdict_error import Measure, VerdictError
 
 SAME_EFFECT = {"clock_wrong": "clock", "joint_gain_wrong": "gain", "zero_position_wrong": "zero"}
@@ -41,8 +40,10 @@ def reasons_against(
 ) -> tuple[Reason, ...]:
     """Return what speaks against a model, the weightiest first; empty if nothing does."""
     untested = is_untested(result, findings, validations)
+    # Errors of a recording that was used all the same.
+    checks = [each for each in findings if each.severity == "error"]
     return (
-        *_of_checks(findings),
+        *(Reason(each.code, each.message, forbids=True) for each in checks),
         *_of_error(error, measure),
         *([Reason("nothing_held_out", "tested on its training data only")] if untested else []),
         *_of_findings(findings, result.effects, len(result.validation), measure),
@@ -58,15 +59,8 @@ def is_untested(
     result: IdentificationResult, findings: Sequence[Finding], validations: Sequence[Validation]
 ) -> bool:
     """Return whether a model was measured on its training data alone."""
-    nothing = not (validations or result.validation)
-    return nothing or any(each.code == "nothing_held_out" for each in findings)
-
-
-def _of_checks(findings: Sequence[Finding]) -> Iterator[Reason]:
-    """Yield the errors of a recording that was used all the same."""
-    for each in findings:
-        if each.severity == "error":
-            yield Reason(each.code, each.message, forbids=True)
+    held_out = validations or result.validation
+    return not held_out or any(each.code == "nothing_held_out" for each in findings)
 
 
 def _of_error(error: VerdictError, measure: Measure) -> Iterator[Reason]:
@@ -183,3 +177,69 @@ def _of_simulation(result: IdentificationResult, simulated: Rollout | None) -> I
             "rollout_worse_than_command",
             f"the delayed command alone is closer ({1e3 * plain.rms_all:.3g})",
         )
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictRules:
+    """Say when a model is used, used with care, or not.
+
+    Parameters
+    ----------
+    useless
+        Torque error, as a share of the torque, beyond which a model is not used: it explains less
+        than three quarters of the squared torque, less than gravity alone on most arms.
+    weak
+        Torque error beyond which it is used with care: the drives follow another law than the
+        model's.
+    behind_cad
+        Error in multiples of CAD's beyond which a model is not used; errors of one model on two
+        motions of one robot differ by less.
+    heavier
+        Share of the mass of all links by which a link far from CAD is heavier or lighter, beyond
+        which its body imitates something that is not in the model. Light links of a wrist may be
+        far from CAD without harm.
+    named
+        Reasons that the sentence names.
+    """
+
+    useless: float = 0.5
+    weak: float = 0.3
+    behind_cad: float = 1.25
+    heavier: float = 0.1
+    named: int = 2
+
+
+RULES = VerdictRules()
+
+DIMMING: Mapping[str, str] = MappingProxyType(
+    {
+        "held_out_repeats": "tested on the same motion only",
+        "gravity_direction": "gravity points elsewhere than described",
+        "clock_wrong": "the clock of the log looks wrong",
+        "torque_scale": "torques have another scale than masses",
+        "joint_torque_scale": "torque of another scale{at}",
+        "joint_gain_wrong": "a wrong torque gain{at}",
+        "zero_position_wrong": "a wrong zero position{at}",
+        "torque_does_not_follow": "torque that hardly follows the motion{at}",
+        "torque_saturates": "saturated torque{at}",
+        "torque_unexplained": "torque that the model does not explain{at}",
+        "joint_without_torque": "no torque was logged{at}",
+        "not_excited": "what the motion does not excite is that of CAD",
+        "motion_narrow": "tested in part of the range only",
+        "motion_slow": "tested at low speed only",
+        "does_not_generalise": "errors{at} are more than twice those in training",
+    }
+)
+"""What is said of each finding that speaks against a model, the weightiest first."""
+OF_TORQUE = frozenset(
+    {
+        "torque_scale",
+        "joint_torque_scale",
+        "joint_gain_wrong",
+        "torque_unexplained",
+        "torque_uncorrelated",
+        "cad_predicts_better",
+        "does_not_generalise",
+    }
+)
+"""Findings on torques that are no measure where commands stand for them."""

@@ -13,14 +13,12 @@ import numpy as np
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Finding, joined
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import IdentificationResult, as_built_parameters
 from asbuilt.tables import share, significant
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import position_unit
 from asbuilt.validation.rollout.rollout import Rollout
-from asbuilt.validation.verdicts.reasons import Reason, is_untested, reasons_against
-from asbuilt.validation.verdicts.rules import RULES
+from asbuilt.validation.verdicts.reasons import RULES, is_untested, reasons_against
 from asbuilt.validation.verdicts.verdict_error import (
     Measure,
     VerdictError,
@@ -91,31 +89,24 @@ def study_verdict(
     if simulated is None:
         measure: Measure = "torque"
         error = torque_error(result, validations)
-        outcome = f"predicts {motion} to {_torque_text(error)}"
+        cad = "" if error.cad is None else f" (CAD {_percent(error.cad)})"
+        outcome = f"predicts {motion} to {_percent(error.decisive)} of the torque{cad}"
     else:
         measure, error = "rollout", rollout_error(simulated)
         outcome = f"simulates {motion} to {_rollout_text(result, simulated, error)}"
     reasons = reasons_against(result, findings, validations, simulated, error, measure)
-    use = _use(reasons)
+    use: Use = "with care" if reasons else "yes"
+    if any(each.forbids for each in reasons):
+        use = "no"
+    weightiest = joined(list(dict.fromkeys(each.text for each in reasons))[: RULES.named])
+    against = f"{weightiest}; " if reasons else ""
     return Verdict(
         use,
-        f"{OPENING[use]}: {_against(reasons)}{outcome}{_mass_text(result)}.",
+        f"{OPENING[use]}: {against}{outcome}{_mass_text(result)}.",
         error,
         measure,
         tuple(dict.fromkeys(each.code for each in reasons)),
     )
-
-
-def _use(reasons: Sequence[Reason]) -> Use:
-    if any(each.forbids for each in reasons):
-        return "no"
-    return "with care" if reasons else "yes"
-
-
-def _against(reasons: Sequence[Reason]) -> str:
-    """Return the weightiest reasons as the start of a sentence; empty without any."""
-    texts = list(dict.fromkeys(each.text for each in reasons))[: RULES.named]
-    return f"{joined(texts)}; " if texts else ""
 
 
 def _motion(
@@ -130,11 +121,6 @@ def _motion(
         return "the same motion"
     held = all(source.endswith(f", held out {result.holdout}") for source in sources)
     return "motion held out" if held else "other motion"
-
-
-def _torque_text(error: VerdictError) -> str:
-    cad = "" if error.cad is None else f" (CAD {_percent(error.cad)})"
-    return f"{_percent(error.decisive)} of the torque{cad}"
 
 
 def _percent(value: float | None) -> str:
@@ -160,8 +146,4 @@ def _mass_text(result: IdentificationResult) -> str:
     built = float(np.sum(found.parameters[9 : 10 * len(links) : 10]))
     cad = sum(float(link.inertia.mass) for link in links)
     known = all(link.inertia_known for link in links) and cad > 0.0
-    return f", {_kilograms(built)} kg" + (f" for {_kilograms(cad)} of CAD" if known else "")
-
-
-def _kilograms(mass: float) -> str:
-    return significant(mass)
+    return f", {significant(built)} kg" + (f" for {significant(cad)} of CAD" if known else "")

@@ -11,8 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import IdentificationResult, as_built_parameters
 from asbuilt.identification.result.torque_prediction import beside_measured, parameter_torque
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.rollout.errors import RolloutErrors

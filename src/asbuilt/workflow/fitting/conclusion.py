@@ -19,7 +19,7 @@ from asbuilt.identification.effects.as_identified import as_identified
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.effect_findings import effect_findings
 from asbuilt.identification.effects.search import Effects
-from asbuilt.identification.errors.position_noise_bias import position_noise_findings
+from asbuilt.identification.errors.bias import position_noise_findings
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.as_built_parameters import mass_findings

@@ -13,8 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.errors.block_scatter import widening
-from asbuilt.identification.errors.error_basis import ErrorBasis
+from asbuilt.identification.errors.block_scatter import ErrorBasis, widening
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods

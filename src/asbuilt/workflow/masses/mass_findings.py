@@ -115,57 +115,66 @@ def described_findings(link: LinkMass, limits: Plausibility) -> list[Finding]:
         return [
             link_finding("no_inertia", "warning", link.name, "the description gives no inertia")
         ]
-    body, findings = link.described, list[Finding]()
-    reason = body.inconsistency()
-    if reason is not None:
-        findings.append(link_finding("inconsistent_inertia", "error", link.name, reason))
-    if not limits.lightest <= link.density <= limits.heaviest and np.isfinite(link.density):
-        findings.append(
+    body, reason = link.described, link.described.inconsistency()
+    computed = float("nan") if link.computed is None else link.computed.mass
+    moments = np.diag(body.inertia_about_com)
+    # All of these are NaN, and their comparisons false, where there is no geometry.
+    half = (link.upper - link.lower) / 2.0
+    largest = body.mass * (np.sum(half**2) - half**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        axis = int(np.argmax(moments / largest))
+    outside = np.maximum(link.lower - body.com, body.com - link.upper).max()
+    possible = (
+        (
+            reason is not None,
+            link_finding("inconsistent_inertia", "error", link.name, reason or ""),
+        ),
+        (
+            np.isfinite(link.density) and not limits.lightest <= link.density <= limits.heaviest,
             link_finding(
                 "implausible_density",
                 "error",
                 link.name,
                 f"{body.mass:.4g} kg in {1e3 * link.volume:.4g} litres is {link.density:.3g}"
                 f" kg/m^3, outside {limits.lightest:g} to {limits.heaviest:g}",
-            )
-        )
-    moments = np.diag(body.inertia_about_com)
-    if body.mass > 0.0 and np.allclose(body.principal_moments, 1.0, rtol=limits.equal):
-        findings.append(
+            ),
+        ),
+        (
+            body.mass > 0.0 and np.allclose(body.principal_moments, 1.0, rtol=limits.equal),
             link_finding(
                 "unit_inertia", "error", link.name, "its inertia is 1 kg m^2 about every axis"
-            )
-        )
-    if abs(link.mass_change) > limits.change and link.computed is not None:
-        message = f"{body.mass:.4g} kg in the description, {link.computed.mass:.4g} kg computed"
-        findings.append(link_finding("mass_differs", "info", link.name, message))
-    if not np.isfinite(link.lower).all():
-        return findings
-    half = (link.upper - link.lower) / 2.0
-    largest = body.mass * (np.sum(half**2) - half**2)
-    beyond = moments > (1.0 + limits.equal) * largest
-    if beyond.any():
-        axis = int(np.argmax(moments / largest))
-        findings.append(
+            ),
+        ),
+        (
+            abs(link.mass_change) > limits.change,
+            link_finding(
+                "mass_differs",
+                "info",
+                link.name,
+                f"{body.mass:.4g} kg in the description, {computed:.4g} kg computed",
+            ),
+        ),
+        (
+            np.any(moments > (1.0 + limits.equal) * largest),
             link_finding(
                 "inertia_too_large",
                 "error",
                 link.name,
                 f"I{'xyz'[axis] * 2} about the centre of mass is {moments[axis]:.3g} kg m^2; within"
                 f" its box {body.mass:.4g} kg have at most {largest[axis]:.3g}",
-            )
-        )
-    outside = np.maximum(link.lower - body.com, body.com - link.upper).max()
-    if body.mass > 0.0 and outside > limits.equal * half.max():
-        findings.append(
+            ),
+        ),
+        (
+            body.mass > 0.0 and outside > limits.equal * half.max(),
             link_finding(
                 "com_outside",
                 "warning",
                 link.name,
                 f"its centre of mass lies {1e3 * outside:.3g} mm outside the box of its geometry",
-            )
-        )
-    return findings
+            ),
+        ),
+    )
+    return [finding for holds, finding in possible if holds]
 
 
 def copy_findings(links: list[LinkMass], limits: Plausibility) -> list[Finding]:

@@ -11,7 +11,6 @@ from asbuilt.arrays import Array, Mask
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
 from asbuilt.experiment.recording import Recording, advancing
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
@@ -23,10 +22,9 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.causal_filter import pole_for
+from asbuilt.monitoring.causal_filter import largest_velocity_error, pole_for
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.observer import Observer
-from asbuilt.monitoring.velocity_error import largest_velocity_error
 
 FEWEST = 10
 """Samples of the shortest log."""
@@ -70,11 +68,6 @@ def check_joints(result: IdentificationResult, recorded: Recording | RecordingSt
             file=recorded.source,
             value=missing,
         )
-
-
-def check_log(result: IdentificationResult, recorded: Recording | RecordingStream) -> None:
-    """Raise `RecordingError` for a log of a wrong clock, unit or sign."""
-    check_recording(result.model, head_of(recorded)).raise_errors(but=TOO_LITTLE)
 
 
 def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:

@@ -10,6 +10,7 @@ from asbuilt.description.structure.free_base import refuse_free_base
 from asbuilt.errors import RecordingError, ResultError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.calibration.payload import payload_frame
@@ -22,7 +23,6 @@ from asbuilt.workflow.prepare import Progress, digest
 from asbuilt.workflow.study import Study
 from asbuilt.workflow.watching.observation import (
     check_joints,
-    check_log,
     doubtful_speed,
     held_out_part,
     logged,
@@ -30,8 +30,8 @@ from asbuilt.workflow.watching.observation import (
     uses_logged_velocities,
 )
 from asbuilt.workflow.watching.options import WatchOptions
-from asbuilt.workflow.watching.tally import Tally
 from asbuilt.workflow.watching.watch_findings import (
+    Tally,
     calibration_findings,
     expected_size,
     log_findings,
@@ -92,7 +92,7 @@ def watch(
         "forces that its feet exert count as external torque; watching one is not possible yet",
     )
     payload_frame(result.model, options.frame)
-    log = logged(_single(result, recording))
+    log = logged(as_recordings(result.model, [recording])[0])
     quiet = [logged(each) for each in as_recordings(result.model, calibrate or [])]
     if thresholds is None:
         _check_covariance(result)
@@ -101,7 +101,7 @@ def watch(
     if options.checked:
         report("check", 0.0)
         for each in (log, *quiet):
-            check_log(result, each)
+            check_recording(result.model, head_of(each)).raise_errors(but=TOO_LITTLE)
     robot = result if options.model == "as_built" else result.model
     bandwidth = options.bandwidth if thresholds is None else thresholds.bandwidth
     measured = (
@@ -119,11 +119,6 @@ def watch(
         findings += said
     observer = Observer(robot, thresholds=thresholds)
     return _watched(result, observer, thresholds, log, options, findings, measured, report)
-
-
-def _single(result: IdentificationResult, recording: RecordingLike) -> Recording | RecordingStream:
-    found = as_recordings(result.model, [recording])
-    return found[0]  # type: ignore[return-value]
 
 
 def _check_covariance(result: IdentificationResult) -> None:

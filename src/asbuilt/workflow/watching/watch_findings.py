@@ -1,9 +1,9 @@
-"""What is said of a watched log beside its events."""
+"""Statistics of a watched log, and what follows from them beside its events."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,11 +12,88 @@ from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.monitoring.events import Event
-from asbuilt.monitoring.thresholds import Thresholds
+from asbuilt.monitoring.contact import smallest_forces
+from asbuilt.monitoring.events import Event, payload_change
+from asbuilt.monitoring.observed import Observed
+from asbuilt.monitoring.observer import Observer
+from asbuilt.monitoring.thresholds import Thresholds, sampling_rates
 from asbuilt.tables import plus_minus
 from asbuilt.workflow.watching.options import Watched
-from asbuilt.workflow.watching.tally import Tally
+
+
+@dataclass(slots=True)
+class Tally:
+    """Gather what is said of a whole log.
+
+    Parameters
+    ----------
+    joint_names
+        The n joints.
+    tool
+        Link that carries the tool, counted from 0, and pose (4, 4) of the tool's frame in it.
+    filtered
+        Whether positions and torques went through the causal filter.
+    n_samples, left_out, seconds
+        Valid rows, others, and duration [s], gaps left out.
+    """
+
+    joint_names: tuple[str, ...]
+    tool: tuple[int, Array]
+    filtered: bool
+    n_samples: int = 0
+    left_out: int = 0
+    seconds: float = 0.0
+    tops: list[Array] = field(default_factory=list)
+    rates: list[float] = field(default_factory=list)
+    sizes: list[Array] = field(default_factory=list)
+    forces: list[Array] = field(default_factory=list)
+    masses: list[tuple[float, float] | None] = field(default_factory=list)
+
+    def add(self, observer: Observer, observed: Observed, scale: Array, limit: Array) -> None:
+        """Count one more part, with scale and threshold (N, n) of its residual."""
+        steps = np.diff(observed.t)
+        self.n_samples += len(observed.t)
+        self.left_out += observed.left_out
+        self.seconds += float(steps[observed.share[1:] > 0.0].sum())
+        self.tops.append(np.abs(observed.qd).max(axis=0))
+        if not steps.size:
+            return
+        self.rates.append(float(np.median(sampling_rates(observed.t))))
+        # Median of the absolute value of a standard normal variable.
+        self.sizes.append(np.median(np.abs(observed.residual), axis=0) / 0.6745)
+        self.forces.append(
+            smallest_forces(observer, observed, limit, self.tool, filtered=self.filtered)
+        )
+        self.masses.append(payload_change(observer, observed, scale, self.tool[0]))
+
+    @property
+    def top_speed(self) -> Array:
+        """Highest speeds (n,) [rad/s or m/s]."""
+        return np.asarray(np.max(self.tops, axis=0))
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return float(np.median(self.rates))
+
+    @property
+    def size(self) -> Array:
+        """Robust standard deviation of the residual about 0 (n,) [N m or N]."""
+        return np.asarray(np.median(self.sizes, axis=0))
+
+    @property
+    def smallest_force(self) -> float:
+        """Median of the forces at the tool [N] that are found within 20 ms."""
+        return float(np.median(np.concatenate(self.forces)))
+
+    @property
+    def mass(self) -> tuple[float, float] | None:
+        """Change of mass [kg] and its error, if one explains every part of the log."""
+        known = [mass for mass in self.masses if mass is not None]
+        if len(known) < len(self.masses):
+            return None
+        values, errors = np.array(known).T
+        return float(np.median(values)), float(max(np.median(errors), np.ptp(values) / 2.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +149,23 @@ def calibration_findings(thresholds: Thresholds) -> list[Finding]:
 
 def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
     """Return in what a log differs from what its thresholds were set on, and what it lacks."""
-    found = []
     rate, top = log.rate, log.top_speed
-    if log.left_out:
-        found.append(
+    faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
+    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
+    names = joined([thresholds.joint_names[k] for k in faster])
+    possible = (
+        (
+            log.left_out,
             Finding(
                 "rows_left_out",
                 "warning",
                 f"{log.left_out} rows were left out: values that are not finite, or times that do"
                 " not advance; no contact is seen in gaps of more than 0.1 s",
                 Cure("find out why the logger lost them", call="check_recording"),
-            )
-        )
-    if not 1.0 / RULES.other_rate < rate / thresholds.rate < RULES.other_rate:
-        found.append(
+            ),
+        ),
+        (
+            not 1.0 / RULES.other_rate < rate / thresholds.rate < RULES.other_rate,
             Finding(
                 "rate_of_thresholds",
                 "warning",
@@ -93,25 +173,22 @@ def log_findings(thresholds: Thresholds, log: Tally) -> list[Finding]:
                 f" thresholds {thresholds.rate:.4g}; noise differs, so the rate of false alarms"
                 " is not verified",
                 Cure("set the thresholds on recordings of this rate", {"calibrate": "LOG"}),
-            )
-        )
-    faster = np.flatnonzero(top > RULES.faster * thresholds.top_speed)
-    if not faster.size:
-        return found
-    worst = int(np.argmax(top / np.maximum(thresholds.top_speed, 1e-12)))
-    names = joined([thresholds.joint_names[k] for k in faster])
-    found.append(
-        Finding(
-            "faster_than_thresholds",
-            "warning",
-            f"{names}: up to {top[worst]:.3g} rad/s or m/s in this log,"
-            f" {thresholds.top_speed[worst]:.3g} where the thresholds were set; false alarms may be"
-            " more frequent",
-            Cure("set the thresholds on motions as fast as those that are watched"),
-            joint=thresholds.joint_names[worst],
-        )
+            ),
+        ),
+        (
+            faster.size,
+            Finding(
+                "faster_than_thresholds",
+                "warning",
+                f"{names}: up to {top[worst]:.3g} rad/s or m/s in this log,"
+                f" {thresholds.top_speed[worst]:.3g} where the thresholds were set; false alarms"
+                " may be more frequent",
+                Cure("set the thresholds on motions as fast as those that are watched"),
+                joint=thresholds.joint_names[worst],
+            ),
+        ),
     )
-    return found
+    return [finding for holds, finding in possible if holds]
 
 
 def expected_size(result: IdentificationResult, model: Watched) -> Array:

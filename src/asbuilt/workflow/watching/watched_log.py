@@ -1,26 +1,35 @@
-"""What was found in a log: events, thresholds, findings."""
+"""What was found in a log: events, thresholds, findings; stored thresholds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.codec import plain
-from asbuilt.findings import Finding
+from asbuilt.codec import FieldError, json_text, plain, restored
+from asbuilt.errors import ResultError
+from asbuilt.findings import Cure, Finding
 from asbuilt.monitoring.events import Event
 from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import Column, Shown, Table, plus_minus, shortened, significant, wrapped
+from asbuilt.untrusted import parsed_json, read_text
 
 ELSEWHERE = 1e-3
 """Probability of the fit below which a force at the tool does not explain the torques."""
 POINTS = 3000
 """Points of a trace, of each chunk of a log."""
+
+
+FORMAT = "asbuilt thresholds"
+LARGEST = 1_000_000
+"""Bytes of a file of thresholds; that of seven joints has 4 kB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,3 +262,32 @@ def duration(seconds: float) -> str:
     if seconds < 120.0:
         return f"{seconds:.3g} s"
     return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"
+
+
+def thresholds_text(thresholds: Thresholds) -> str:
+    """Return thresholds as JSON that `read_thresholds` reads."""
+    return json_text({"format": FORMAT, **plain(thresholds)})
+
+
+def read_thresholds(path: str | os.PathLike[str]) -> Thresholds:
+    """Read thresholds that `watch` wrote.
+
+    Raises
+    ------
+    ResultError
+        If the file cannot be read, holds no thresholds, or is damaged.
+    """
+    text = read_text(Path(path), "thresholds", ResultError, LARGEST)
+    again = Cure("give the thresholds.json that watch wrote")
+    try:
+        whole = parsed_json(text)
+        if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
+            raise ResultError(f"{path} holds no thresholds", cure=again, file=str(path))
+        found = restored(Thresholds, whole)
+    except ResultError:
+        raise
+    except (ValueError, TypeError, KeyError, FieldError) as problem:
+        raise ResultError(
+            f"{path}: the thresholds are damaged: {problem}", cure=again, file=str(path)
+        ) from None
+    return found

@@ -1,17 +1,16 @@
-"""Figures of comparisons: causes of the CAD error, differences and changes with their torque."""
+"""Figures of comparisons: causes of the CAD error, differences, changes, and claims of drives."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from asbuilt.identification.effects.groups import group_title
 from asbuilt.tables import significant
-from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.comparison.comparison import Comparison
-from asbuilt.validation.comparison.drift import Drift
+from asbuilt.validation import Attribution, Claim, Comparison, Drift, Review
 from asbuilt.writers.figures.figure_style import (
     AS_BUILT,
     BLUE,
@@ -20,8 +19,10 @@ from asbuilt.writers.figures.figure_style import (
     INK,
     ORANGE,
     QUIET,
+    VERMILION,
     broken,
     drawn,
+    label_once,
 )
 
 CAUSE_COLOURS: dict[str, str] = {
@@ -70,8 +71,14 @@ def attribution_figure(attribution: Attribution) -> Figure:
                         k, 50 * ends.sum(), f"{100 * part:.0f}", va="center", color=ink, **small
                     )
             above, below = above + up, below + down
-        rest = 100 * attribution.unexplained
-        axis.bar(place, rest, bottom=100 * above, color=UNEXPLAINED, label="unexplained", **bar)
+        axis.bar(
+            place,
+            100 * attribution.unexplained,
+            bottom=100 * above,
+            color=UNEXPLAINED,
+            label="unexplained",
+            **bar,
+        )
         top = above + attribution.unexplained
         for k, (rms, unit) in enumerate(zip(attribution.rms_cad, attribution.units, strict=True)):
             height, error = 100 * (min(top[k], high) + gap), f"{significant(float(rms))} {unit}"
@@ -139,8 +146,14 @@ def difference_figure(comparison: Comparison) -> Figure:
             felt = f"joint {1 + int(np.argmax(each.torque))}" if each.torque else ""
             shared = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else ""
             remark = shared or ("" if each.matters else ", small")
-            beyond = total[k] + 0.01 * total.max()
-            axis.text(beyond, k, f"{felt}{remark}", va="center", fontsize=7, color=QUIET)
+            axis.text(
+                total[k] + 0.01 * total.max(),
+                k,
+                f"{felt}{remark}",
+                va="center",
+                fontsize=7,
+                color=QUIET,
+            )
         axis.set_yticks(place, [f"{each.name}  ({each.words})" for each in shown], fontsize=7)
         axis.set(
             xlabel="torque of the difference, RMS over all joints [N m]",
@@ -150,8 +163,9 @@ def difference_figure(comparison: Comparison) -> Figure:
         axis.grid(axis="y", visible=False)
         for colour, label in ((AS_BUILT, "differs"), (GREY, "within standard errors")):
             axis.bar([0], [0], color=colour, label=label)
-        pale = "pale: part that others could make up for"
-        axis.legend(loc="lower right", title=pale, title_fontsize=8)
+        axis.legend(
+            loc="lower right", title="pale: part that others could make up for", title_fontsize=8
+        )
     return figure
 
 
@@ -177,8 +191,13 @@ def drift_figure(drift: Drift) -> Figure:
         ):
             if not shown.any():
                 continue
-            bars = np.where(shown, lengths, 0.0)
-            axis.barh(place + shift, bars, height=height, color=colour, label=label)
+            axis.barh(
+                place + shift,
+                np.where(shown, lengths, 0.0),
+                height=height,
+                color=colour,
+                label=label,
+            )
             for k in np.flatnonzero(shown):
                 axis.text(
                     lengths[k] + 0.008 * longest,
@@ -197,3 +216,61 @@ def drift_figure(drift: Drift) -> Figure:
         axis.grid(axis="y", visible=False)
         figure.legend(loc="outside lower right", ncols=3)
     return figure
+
+
+SHOWN = ("armature", "damping", "damping + kv", "friction loss", "kp", "forcerange")
+"""Kinds of numbers in the figure."""
+COLOURS = {"contradicted": VERMILION, "supported": BLUE, "undetermined": GREY}
+SIGMAS = 2.0
+"""Half the length of an error bar in standard errors."""
+
+
+def review_figure(review: Review) -> Figure:
+    """Draw each number of the drives with its error bar, beside its claim, joint by joint."""
+    kinds = [kind for kind in SHOWN if any(_shown(claim, kind) for claim in review.claims)]
+    joints = list(review.result.joint_names)
+    columns = max(1, min(3, len(kinds)))
+    rows = max(1, -(-len(kinds) // columns))
+    width, height = 2.9 * columns + 0.6, rows * (0.24 * len(joints) + 0.9) + 0.5
+    title = f"{review.robot}: numbers of its drives beside the log"
+    with drawn(width, height, title, rows=rows, columns=columns, sharey=True) as (figure, axes):
+        for axis in axes[len(kinds) :]:
+            axis.set_visible(False)
+        for axis, kind in zip(axes, kinds, strict=False):
+            claims = [claim for claim in review.claims if _shown(claim, kind)]
+            _draw(axis, claims, joints)
+            axis.set_yticks(range(len(joints)), [broken(name, 16) for name in joints])
+            axis.set(title=f"{kind} [{claims[0].unit}]", ylim=(len(joints) - 0.5, -0.5))
+        label_once(figure, axes, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _shown(claim: Claim, kind: str) -> bool:
+    return claim.what == kind and claim.estimate is not None and claim.std_error is not None
+
+
+def _draw(axis: Axes, claims: list[Claim], joints: list[str]) -> None:
+    """Draw the claims of one kind."""
+    size = max(max(abs(claim.claimed), abs(claim.estimate or 0.0)) for claim in claims)
+    for claim in claims:
+        place = joints.index(claim.joint)
+        # An error bar longer than so many times the largest number of its kind is cut.
+        bar = min(SIGMAS * (claim.std_error or 0.0), 4.0 * size)
+        axis.errorbar(
+            claim.estimate or 0.0,
+            place,
+            xerr=bar,
+            fmt="o",
+            markersize=3.5,
+            color=COLOURS[claim.verdict],
+            elinewidth=1.2,
+            label=claim.verdict,
+        )
+        axis.plot(
+            [claim.claimed] * 2,
+            [place - 0.35, place + 0.35],
+            color=INK,
+            linewidth=1.4,
+            label="claim",
+        )
+    axis.axvline(0.0, color=GREY, linewidth=0.5)

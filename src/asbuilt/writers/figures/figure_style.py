@@ -92,13 +92,15 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160)
         raise UsageError(
             f"figure {str(path)!r} has an unknown suffix; expected .{', .'.join(FORMATS)}"
         )
-    stream = io.BytesIO()
-    dateless = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[
-        suffix
-    ]
+    return atomic_write(path, _drawing(figure, suffix, dpi=dpi))
+
+
+def _drawing(figure: Figure, kind: str, **how: Any) -> bytes:
+    """Return a figure as a file of a kind, without a date."""
+    stream, dated = io.BytesIO(), {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
     with styled():
-        figure.savefig(stream, format=suffix, dpi=dpi, metadata=dateless)
-    return atomic_write(path, stream.getvalue())
+        figure.savefig(stream, format=kind, metadata={dated[kind]: None}, **how)
+    return stream.getvalue()
 
 
 @contextmanager
@@ -146,7 +148,4 @@ def headline(figure: Figure, title: str) -> None:
 
 def figure_address(figure: Figure) -> str:
     """Return a figure as a `data:` address of an SVG; equal figures give equal texts."""
-    stream = io.BytesIO()
-    with styled():
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return data_address(stream.getvalue(), "image/svg+xml")
+    return data_address(_drawing(figure, "svg"), "image/svg+xml")

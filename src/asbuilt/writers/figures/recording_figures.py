@@ -6,9 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from asbuilt.experiment.quality.checks import RecordingCheck
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.free_motion import FreeMotion
+from asbuilt.experiment import FreeMotion, Recording, RecordingCheck
 from asbuilt.tables import shortened
 from asbuilt.workflow.watching.watched_log import WatchedLog, torque_unit
 from asbuilt.writers.figures.figure_style import (

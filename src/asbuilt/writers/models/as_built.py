@@ -8,15 +8,16 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics import (
+    DriveSet,
+    PositionServo,
+    available_terms,
+    drive_torque,
+    inverse_dynamics,
+)
+from asbuilt.identification import IdentificationResult, StandardParameters, as_built_parameters
 from asbuilt.identification.bodies.cad_prior import non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
-from asbuilt.identification.bodies.standard_parameters import StandardParameters
-from asbuilt.identification.result.as_built_parameters import as_built_parameters
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.writers.models.sample_states import sample_states
 
 
@@ -42,11 +43,8 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
     robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
     robot = with_servo(robot, result.servo)
     sources = ", ".join(result.sources)
-    note = f"identified ({result.method}) from {sources}; {found.verdict}"
-    return AsBuilt(
-        found,
-        replace(robot, notes=(*result.model.notes, note), source=f"identified from {sources}"),
-    )
+    notes = (*result.model.notes, f"identified ({result.method}) from {sources}; {found.verdict}")
+    return AsBuilt(found, replace(robot, notes=notes, source=f"identified from {sources}"))
 
 
 def with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
@@ -66,11 +64,6 @@ def with_servo(robot: RobotModel, servo: PositionServo | None) -> RobotModel:
     return replace(robot, joints=joints)
 
 
-def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
-    """Return the robot of `as_built`."""
-    return as_built(result, nearest=nearest).model
-
-
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
     """Return a robot with other standard parameters (n_standard,) and drive terms.
 
@@ -87,9 +80,7 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     turned = np.any(model.motor_shares, axis=1)
     joints = []
     for k, joint in enumerate(robot.joints):
-        left = values[k].tolist()
-        plain: dict[str, float] = {}
-        terms: dict[str, dict[str, float]] = {}
+        left, plain, terms = values[k].tolist(), dict[str, float](), dict[str, dict[str, float]]()
         for term in drive.at(k).terms:
             own, left = left[: len(term.symbols)], left[len(term.symbols) :]
             if term.key in PLAIN_TERMS and term.is_at(k):
@@ -98,18 +89,8 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
                 terms[term.key] = dict(zip(term.symbols, own, strict=True)) | {
                     parameter.name: term.value(parameter.name) for parameter in term.nonlinear
                 }
-        joints.append(
-            replace(
-                joint,
-                drive=DriveValues(
-                    **plain,
-                    gear_ratio=joint.drive.gear_ratio,
-                    kp=joint.drive.kp,
-                    kd=joint.drive.kd,
-                    terms=terms,
-                ),
-            )
-        )
+        kept = {name: getattr(joint.drive, name) for name in ("gear_ratio", "kp", "kd")}
+        joints.append(replace(joint, drive=DriveValues(**plain, **kept, terms=terms)))
     return replace(robot, joints=tuple(joints), drives_by_design=True)
 
 

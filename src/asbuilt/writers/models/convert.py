@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import InertiaError, UsageError
 from asbuilt.findings import Cure, joined
@@ -60,8 +57,8 @@ class Conversion:
 
     def as_text(self) -> str:
         """Return the file and the notes, one a line."""
-        head = f"{self.robot.name}: {self.robot.n_joints} joints"
-        return "\n".join([head, *file_lines({"robot": self.path}, {"robot": self.notes}, 9)])
+        files = file_lines({"robot": self.path}, {"robot": self.notes}, 9)
+        return "\n".join([f"{self.robot.name}: {self.robot.n_joints} joints", *files])
 
 
 def convert_robot(
@@ -90,10 +87,9 @@ def convert_robot(
         If a URDF or an MJCF file is asked for and the inertia of a link is physically inconsistent.
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    suffix = Path(path).suffix.lower()
-    if suffix not in _WRITERS:
+    if Path(path).suffix.lower() not in FORMATS:
         raise UsageError(
-            f"{path} names no format to write; its suffix must be one of {', '.join(_WRITERS)}",
+            f"{path} names no format to write; its suffix must be one of {', '.join(FORMATS)}",
             value=str(path),
         )
     held_still = [f"{name} at {value!r}" for name, value in model.locked_joints.items()]
@@ -101,7 +97,7 @@ def convert_robot(
         said = f"locked when converted: {', '.join(held_still)}"
         model = replace(model, notes=(*model.notes, said))
     try:
-        written, notes = _WRITERS[suffix](path, model)
+        written, notes = _write_as_named(path, model)
     except InertiaError as problem:
         problem.cure = Cure("write a robot file (.toml), which takes any inertia, or correct it")
         raise
@@ -109,45 +105,33 @@ def convert_robot(
     return Conversion(model, written, (*notes, *differs), apart)
 
 
-def _as_toml(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
-    return write_robot_toml(path, model), ()
+FORMATS = {".toml": "", ".urdf": "URDF", ".xml": "MJCF", ".mjcf": "MJCF"}
+"""Name of the format of each suffix; the robot file needs none."""
 
 
-def _as_urdf(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
-    written, notes = write_urdf(path, model)
-    return written, (*notes, *_left_out(model, "URDF", ("acceleration", "jerk")))
-
-
-def _as_mjcf(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
-    written, notes = write_mjcf(path, model)
-    return written, (*notes, *_left_out(model, "MJCF", ("velocity", "acceleration", "jerk")))
-
-
-_WRITERS: dict[
-    str, Callable[[str | os.PathLike[str], RobotModel], tuple[Path, tuple[str, ...]]]
-] = {".toml": _as_toml, ".urdf": _as_urdf, ".xml": _as_mjcf, ".mjcf": _as_mjcf}
-
-
-def _left_out(model: RobotModel, title: str, limits: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a note on what a format other than the robot file has no place for."""
-    lost = [
-        f"{name} limits"
-        for name in limits
-        if any(np.isfinite(getattr(joint.limits, name)) for joint in model.joints)
-    ]
-    if model.motor_coupling is not None:
-        lost.append("the coupling of the motors")
-    if any(joint.drive.gear_ratio is not None for joint in model.joints):
-        lost.append("gear ratios")
-    if any(link.parts for link in model.links):
-        lost.append("the parts of merged links")
-    if model.lengths:
-        lost.append("names of lengths")
-    if any(not link.inertia_known for link in model.links):
-        lost.append("which inertias are unknown")
-    if not lost:
-        return ()
-    return (f"{title} has no place for {joined(lost)}; the robot file (.toml) has",)
+def _write_as_named(
+    path: str | os.PathLike[str], model: RobotModel
+) -> tuple[Path, tuple[str, ...]]:
+    """Write a robot in the format of a suffix; return the file, and notes on what it lacks."""
+    title = FORMATS[Path(path).suffix.lower()]
+    if not title:
+        return write_robot_toml(path, model), ()
+    written, notes = (write_urdf if title == "URDF" else write_mjcf)(path, model)
+    without = ("acceleration", "jerk") if title == "URDF" else ("velocity", "acceleration", "jerk")
+    there = {
+        f"{name} limits": any(np.isfinite(getattr(joint.limits, name)) for joint in model.joints)
+        for name in without
+    } | {
+        "the coupling of the motors": model.motor_coupling is not None,
+        "gear ratios": any(joint.drive.gear_ratio is not None for joint in model.joints),
+        "the parts of merged links": any(link.parts for link in model.links),
+        "names of lengths": bool(model.lengths),
+        "which inertias are unknown": not all(link.inertia_known for link in model.links),
+    }
+    lost = [what for what, is_there in there.items() if is_there]
+    if lost:
+        notes = (*notes, f"{title} has no place for {joined(lost)}; the robot file (.toml) has")
+    return written, notes
 
 
 def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
@@ -192,17 +176,13 @@ def write_masses(path: str | os.PathLike[str], masses: LinkMasses) -> tuple[Path
     computed = {each.name: each.computed for each in masses.links if each.computed is not None}
     if not computed:
         raise UsageError("no mass properties were computed, so there is nothing to write")
-    _refuse_inconsistent(computed)
+    for name, inertia in computed.items():
+        reason = inertia.inconsistency()
+        if reason is not None:
+            raise InertiaError(f"computed mass properties of link {name!r}: {reason}", link=name)
     if place.suffix.lower() == ".toml":
         return write_robot_toml(place, model), ()
     if place.suffix.lower() != ".urdf":
         raise UsageError(f"{place} must end in .urdf or .toml")
     original = masses.model.source if masses.model.source.lower().endswith(".urdf") else None
     return write_urdf(place, model, original=original)
-
-
-def _refuse_inconsistent(computed: dict[str, LinkInertia]) -> None:
-    for name, inertia in computed.items():
-        reason = inertia.inconsistency()
-        if reason is not None:
-            raise InertiaError(f"computed mass properties of link {name!r}: {reason}", link=name)

@@ -14,12 +14,10 @@ from asbuilt.description.formats.xml import described_text, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.identification.bodies.standard_parameters import StandardParameters
+from asbuilt.identification import IdentificationResult, StandardParameters
 from asbuilt.identification.information.random_motion import random_motion_rows
-from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import carrying
-from asbuilt.monitoring.model_error import ModelError
-from asbuilt.monitoring.thresholds import Thresholds
+from asbuilt.monitoring import ModelError, Thresholds
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
 from asbuilt.writers.files import atomic_write, file_lines, path_texts
@@ -31,8 +29,7 @@ from asbuilt.writers.models.as_built import (
 )
 from asbuilt.writers.models.c.c_code import write_c
 from asbuilt.writers.models.c.c_observer import observer_code
-from asbuilt.writers.models.elastic_joints import elastic_mjcf, with_rotors_described
-from asbuilt.writers.models.mjcf import write_mjcf
+from asbuilt.writers.models.mjcf import elastic_mjcf, with_rotors_described, write_mjcf
 from asbuilt.writers.models.physical import (
     refuse_inconsistent_result,
     refuse_poor_nearest_model,
@@ -152,42 +149,51 @@ def export_result(
         raise UsageError(
             "no file to export is named", cure=Cure("name at least one", files_to_name)
         )
-    if original is not None and urdf is None:
-        raise UsageError(
+    for idle, why, cure, settings in (
+        (
+            original is not None and urdf is None,
             f"{original} is to be edited, but no URDF to write is named",
-            cure=Cure("name the URDF to write", {"urdf": "FILE"}),
-        )
-    if force and not nearest:
-        raise UsageError(
+            "name the URDF to write",
+            {"urdf": "FILE"},
+        ),
+        (
+            force and not nearest,
             "force applies to the nearest consistent model, which is not asked for",
-            cure=Cure("ask for it", {"nearest": True}),
-        )
-    if thresholds is not None and observer is None:
-        raise UsageError(
+            "ask for it",
+            {"nearest": True},
+        ),
+        (
+            thresholds is not None and observer is None,
             "thresholds go with an observer, but no file for it is named",
-            cure=Cure("name it", {"observer": "FILE"}),
-        )
-    if elastic and mjcf is None:
-        raise UsageError(
+            "name it",
+            {"observer": "FILE"},
+        ),
+        (
+            elastic and mjcf is None,
             "elastic joints are written into MJCF, but no such file is named",
-            cure=Cure("name it", {"mjcf": "FILE"}),
-        )
+            "name it",
+            {"mjcf": "FILE"},
+        ),
+    ):
+        if idle:
+            raise UsageError(why, cure=Cure(cure, settings))
     result = with_rotors_described(result) if elastic else result
-    watching = {} if observer is None else _observer(observer, result, thresholds)
+    files: dict[str, Path] = {}
+    notes: dict[str, tuple[str, ...]] = {}
+    if observer is not None:
+        files["observer"], files["observer_header"] = write_observer(
+            observer, result, thresholds=thresholds
+        )
     if all(place is None for place in models) and not formats:
-        return Export(result.robot, "the identified parameters", watching, {})
+        return Export(result.robot, "the identified parameters", files, {})
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
     refuse_inconsistent_result(result, model)
     cost = nearest_model(result, found.beta) if found.substituted else None
     if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
-    files: dict[str, Path] = dict(watching)
-    notes: dict[str, tuple[str, ...]] = {}
-    (in_simulators, kept), load = (
-        keeping_described_drives(model, result.model),
-        load_note(result, built),
-    )
+    in_simulators, kept = keeping_described_drives(model, result.model)
+    load = load_note(result, built)
     if c is not None:
         files["c"], files["header"] = write_c(
             c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_links :]
@@ -210,23 +216,14 @@ def export_result(
         text, said = written.document(ExportedDrives(in_simulators, result), Path(place))
         files[written.key] = atomic_write(place, text)
         notes[written.key] = (*said, *kept)
-    said_of = {kind: said for kind, said in notes.items() if said}
     return Export(
         result.robot,
         found.verdict,
         files,
-        said_of,
+        {kind: said for kind, said in notes.items() if said},
         cost,
         _beyond(result, found) if found.substituted else "",
     )
-
-
-def _observer(
-    place: Place, result: IdentificationResult, thresholds: Thresholds | None
-) -> dict[str, Path]:
-    """Write the observer; returns its paths by kind."""
-    source, header = write_observer(place, result, thresholds=thresholds)
-    return {"observer": source, "observer_header": header}
 
 
 def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
@@ -280,9 +277,10 @@ def delay_notes(result: IdentificationResult, kind: Literal["mjcf", "urdf"]) -> 
 def held_notes(model: RobotModel) -> tuple[str, ...]:
     """Return what a model file lacks of a robot whose free joint was held."""
     held = [note for note in model.notes if note.startswith("the free joint of ")]
-    if not held:
-        return ()
-    return (f"{held[0]}: the file has no free joint and no trunk; put its bodies under yours",)
+    return tuple(
+        f"{note}: the file has no free joint and no trunk; put its bodies under yours"
+        for note in held[:1]
+    )
 
 
 def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:

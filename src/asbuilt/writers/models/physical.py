@@ -10,8 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.consistency import inconsistencies
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drives.position_servo import PositionServo
-from asbuilt.dynamics.drives.selection import available_terms
+from asbuilt.dynamics import PositionServo, available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import cad_prior
@@ -37,15 +36,16 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
     """Return one sentence per inconsistent link and per non-passive drive parameter."""
     reasons = list(inconsistencies(model))
     for number, joint in enumerate(model.joints, start=1):
-        for name in ("armature", "viscous", "coulomb"):
-            value = getattr(joint.drive, name)
-            if value is not None and value < 0.0:
-                what = {
-                    "armature": "armature",
-                    "viscous": "viscous friction",
-                    "coulomb": "Coulomb friction",
-                }[name]
-                reasons.append(f"joint {number}: {what} is {value:.4g}; it must not be negative")
+        plain = {
+            "armature": joint.drive.armature,
+            "viscous friction": joint.drive.viscous,
+            "Coulomb friction": joint.drive.coulomb,
+        }
+        reasons += [
+            f"joint {number}: {what} is {value:.4g}; it must not be negative"
+            for what, value in plain.items()
+            if value is not None and value < 0.0
+        ]
         reasons += [
             f"joint {number}: {key} {symbol} is {numbers[symbol]:.4g}; it must not be negative"
             for key, numbers in joint.drive.terms.items()
@@ -94,14 +94,10 @@ def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> t
         key if len(names) == model.n_joints else f"{key} ({', '.join(names)})"
         for key, names in joints.items()
     )
-    best = ""
-    if "stribeck" in joints:
-        best = "; a fit with the drive terms armature, viscous, coulomb and offset serves it best"
+    best = "; a fit with the drive terms armature, viscous, coulomb and offset serves it best"
     return (
-        (
-            f"{kind} has no place for the drive terms {said}; its torques lack them (robot files"
-            f" of asbuilt hold all{best})"
-        ),
+        f"{kind} has no place for the drive terms {said}; its torques lack them (robot files"
+        f" of asbuilt hold all{best if 'stribeck' in joints else ''})",
     )
 
 

@@ -11,15 +11,14 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import ROOT, Joint, Link, Mimic, RobotModel
+from asbuilt.description import ROOT, Joint, Link, LinkInertia, Mimic, RobotModel
 from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
 from asbuilt.dynamics.kinematics import random_postures
 from asbuilt.errors import DescriptionError
 from asbuilt.findings import Cure, joined
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.physical import in_plain_friction, refuse_inconsistent
-from asbuilt.writers.models.urdf_edit import edited_urdf, urdf_notes
+from asbuilt.writers.models.urdf_edit import TENSOR, edited_urdf, urdf_notes
 
 PROPORTIONAL = 1e-9
 """Largest change of a share for which a passive joint counts as one that follows."""
@@ -48,29 +47,23 @@ def urdf_text(model: RobotModel) -> str:
     model = _in_urdf_terms(model)
     root = Element("robot", name=model.name)
     for note in (*model.notes, *urdf_notes(model)):
-        root.append(Comment(f" {_without_dashes(note)} "))
+        root.append(Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
     moved = [_shift(joint) for joint in model.moving_joints]
+    carriers = dict(enumerate(zip(model.link_names, moved, strict=True)))
+    carriers[ROOT] = model.root_link, np.eye(4)
     joints = in_plain_friction(model).moving_joints
     for joint, link, shift in zip(joints, model.links, moved, strict=True):
         _link(root, link, shift)
-        parent = np.eye(4) if joint.parent == ROOT else moved[joint.parent]
-        name = model.root_link if joint.parent == ROOT else model.links[joint.parent].name
-        _joint(
-            root,
-            joint,
-            composed(parent, joint.before, joint.after, inverted(shift)),
-            shift,
-            name,
-            link.name,
-        )
+        parent, carried = carriers[joint.parent]
+        place = composed(carried, joint.before, joint.after, inverted(shift))
+        _joint(root, joint, place, shift, parent, link.name)
         if not np.array_equal(shift, np.eye(4)):
             _fixed(root, _free_name(f"{link.name}_frame", taken), link.name, shift)
     for frame in model.frames:
-        carrier = np.eye(4) if frame.link == ROOT else moved[frame.link]
-        name = model.root_link if frame.link == ROOT else model.links[frame.link].name
-        _fixed(root, frame.name, name, composed(carrier, frame.placement))
+        parent, carried = carriers[frame.link]
+        _fixed(root, frame.name, parent, composed(carried, frame.placement))
     if model.n_floating:
         _without_base(root, model)
     indent(root)
@@ -169,16 +162,8 @@ def _link(root: Element, link: Link, shift: Array) -> None:
     inertial, tensor = SubElement(element, "inertial"), inertia.inertia_about_com
     SubElement(inertial, "origin", xyz=_numbers(inertia.com), rpy="0 0 0")
     SubElement(inertial, "mass", value=_numbers([inertia.mass]))
-    entries = {
-        "ixx": (0, 0),
-        "ixy": (0, 1),
-        "ixz": (0, 2),
-        "iyy": (1, 1),
-        "iyz": (1, 2),
-        "izz": (2, 2),
-    }
     SubElement(
-        inertial, "inertia", {name: _numbers([tensor[place]]) for name, place in entries.items()}
+        inertial, "inertia", {name: _numbers([tensor[place]]) for name, place in TENSOR.items()}
     )
 
 
@@ -253,7 +238,3 @@ def _bound(value: float) -> str:
 
 def _numbers(values: Array | list[float]) -> str:
     return " ".join(repr(float(value) + 0.0) for value in values)
-
-
-def _without_dashes(text: str) -> str:
-    return " ".join(text.replace("--", "- -").split()).rstrip("-")

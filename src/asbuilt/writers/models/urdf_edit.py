@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description import LinkInertia, described_text
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.formats.xml import described_text
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
 from asbuilt.description.structure.free_base import base_of
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -21,7 +19,7 @@ from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, 
 from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, attribute_edits
 
-_TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,38 +109,61 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
         }
         if values and joint.name in joints:
             edits += _dynamics_edits(file, joints[joint.name], values)
-            for follower in _followers_of(model, joint.name):
-                edits += _without_friction(joints[follower], values)
+            driven = model.link_shares[model.n_joints :, model.joint_names.index(joint.name)]
+            for follower, share in zip(model.followers, driven, strict=True):
+                edits += _without_friction(joints[follower.name], values) if share else []
             changed_joints.append(joint.name)
     edited = file.edited(edits)
     reread, literal = (
         _difference(model, _locked_alike(read_urdf(edited, straighten=exact, base=kind), model))
         for exact in (True, False)
     )
-    notes = (
-        *_rounding_note(model, literal),
-        *_locked_note(model, joints),
-        *_emptied_note(emptied),
-        *urdf_notes(model),
-    )
+    worst = int(np.argmax(literal))
+    held = [
+        f"{name} at {value:.4g}" for name, value in model.locked_joints.items() if name in joints
+    ]
+    cases = {
+        "the file rounds right angles (1.5708), which asbuilt reads as exact; taken literally they"
+        f" change torques by up to {literal[worst]:.2g}"
+        f" {'N m' if model.joints[worst].is_revolute else 'N'} (joint {model.joint_names[worst]})":
+        # Torque difference [N m or N] from which a note is written.
+        literal[worst] > 1e-9,
+        f"the joints {', '.join(held)} were locked when the robot was identified: they stay in the"
+        " file, and what was identified is the inertia of their carriers with them in place, exact"
+        " where they are locked": bool(held),
+        f"the inertials of {', '.join(emptied)} were removed, because the remainder of their"
+        " carrier would be physically inconsistent; the carrier has the inertia of the whole": bool(
+            emptied
+        ),
+    }
     return EditedUrdf(
-        edited, tuple(changed_links), tuple(changed_joints), tuple(emptied), reread, literal, notes
+        edited,
+        tuple(changed_links),
+        tuple(changed_joints),
+        tuple(emptied),
+        reread,
+        literal,
+        (*(note for note, holds in cases.items() if holds), *urdf_notes(model)),
     )
 
 
 def urdf_notes(model: RobotModel) -> tuple[str, ...]:
     """Return notes on what changes torques and has no place in URDF."""
     plain, notes = in_plain_friction(model), []
-    if any("asymmetric_coulomb" in joint.drive.terms for joint in model.joints):
-        notes.append(
+    for term, note in (
+        (
+            "asymmetric_coulomb",
             "asymmetric Coulomb friction is written as symmetric friction; the offset holds the"
-            " rest"
-        )
-    if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
-        notes.append(
+            " rest",
+        ),
+        (
+            "smooth_coulomb",
             "smooth Coulomb friction is written as dry friction: equal torques if a joint moves"
-            " faster than its width"
-        )
+            " faster than its width",
+        ),
+    ):
+        if any(term in joint.drive.terms for joint in model.joints):
+            notes.append(note)
     for key, symbol, unit in (
         ("armature", "Ia", "kg m^2, or kg for prismatic joints"),
         ("offset", "Fo", "N m, or N for prismatic joints"),
@@ -205,7 +226,7 @@ def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> 
 
 def _inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edit]:
     tensor, com = inertia.inertia_about_com, " ".join(map(_number, inertia.com))
-    moments = {name: _number(tensor[place]) for name, place in _TENSOR.items()}
+    moments = {name: _number(tensor[place]) for name, place in TENSOR.items()}
     inertial = link.first("inertial")
     if inertial is None:
         tag = link.named_as
@@ -244,19 +265,12 @@ def _dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[
     return [file.appended(joint, f"<{joint.named_as('dynamics')} {said}/>")]
 
 
-def _followers_of(model: RobotModel, joint: str) -> list[str]:
-    """Return the names of the joints that follow a joint."""
-    driven = model.link_shares[model.n_joints :, model.joint_names.index(joint)]
-    return [each.name for each, share in zip(model.followers, driven, strict=True) if share]
-
-
 def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:
     """Return edits that set the friction of a follower to 0: that of its driven joint holds it."""
     dynamics = joint.first("dynamics")
     if dynamics is None:
         return []
-    there = {name: "0" for name in values if name in dynamics.attributes}
-    return attribute_edits(dynamics, there) if there else []
+    return attribute_edits(dynamics, {each: "0" for each in values if each in dynamics.attributes})
 
 
 def _difference(model: RobotModel, read: RobotModel) -> Array:
@@ -272,21 +286,6 @@ def _difference(model: RobotModel, read: RobotModel) -> Array:
     )
 
 
-def _rounding_note(model: RobotModel, literal: Array) -> tuple[str, ...]:
-    # Torque difference [N m or N] from which a note is written.
-    if literal.max() <= 1e-9:
-        return ()
-    worst = int(np.argmax(literal))
-    return (
-        (
-            "the file rounds right angles (1.5708), which asbuilt reads as exact; taken literally"
-            f" they change torques by up to {literal[worst]:.2g}"
-            f" {'N m' if model.joints[worst].is_revolute else 'N'} (joint"
-            f" {model.joint_names[worst]})"
-        ),
-    )
-
-
 def _locked_alike(described: RobotModel, model: RobotModel) -> RobotModel:
     """Return a described robot with the joints locked that are locked in the model."""
     held = {
@@ -295,30 +294,6 @@ def _locked_alike(described: RobotModel, model: RobotModel) -> RobotModel:
         if name in {joint.name for joint in described.moving_joints}
     }
     return described.locked(held)
-
-
-def _locked_note(model: RobotModel, joints: Mapping[str, object]) -> tuple[str, ...]:
-    held = [
-        f"{name} at {value:.4g}" for name, value in model.locked_joints.items() if name in joints
-    ]
-    if not held:
-        return ()
-    return (
-        f"the joints {', '.join(held)} were locked when the robot was identified: they stay in the"
-        " file, and what was identified is the inertia of their carriers with them in place, exact"
-        " where they are locked",
-    )
-
-
-def _emptied_note(emptied: list[str]) -> tuple[str, ...]:
-    if not emptied:
-        return ()
-    return (
-        (
-            f"the inertials of {', '.join(emptied)} were removed, because the remainder of their"
-            " carrier would be physically inconsistent; the carrier has the inertia of the whole"
-        ),
-    )
 
 
 def _number(value: float) -> str:

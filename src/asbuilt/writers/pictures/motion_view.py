@@ -8,15 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
-from asbuilt.description.appearance import Solid, link_solids
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description import ROOT, RobotModel, Solid, link_solids
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.spline import SplineMotion
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
-from asbuilt.experiment.recording import Recording
+from asbuilt.excitation import Motion, MotionBounds, SplineMotion
+from asbuilt.experiment import Recording, RecordingStream, head_of
 
 PLAYED_RATE = 25.0
 """Poses per second [Hz]; the eye sees no more."""
@@ -54,10 +50,8 @@ class MotionView:
 
         `path` (m, n) are the positions of a finer path, by default q.
         """
-        times, positions = (
-            np.atleast_1d(np.asarray(t, dtype=np.float64)),
-            np.atleast_2d(np.asarray(q, dtype=np.float64)),
-        )
+        times = np.atleast_1d(np.asarray(t, dtype=np.float64))
+        positions = np.atleast_2d(np.asarray(q, dtype=np.float64))
         if positions.shape != (times.size, model.n_joints) or not np.all(np.isfinite(positions)):
             raise UsageError(
                 f"a view of {model.name} needs finite positions of shape ({times.size},"
@@ -127,11 +121,8 @@ def resting_pose(model: RobotModel) -> Array:
         [0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)]
     )
     bend[0] = 0.0
-    low, high = (
-        bounds.lower + 0.1 * (bounds.upper - bounds.lower),
-        bounds.upper - 0.1 * (bounds.upper - bounds.lower),
-    )
-    return np.asarray(np.clip(bend, low, high))
+    margin = 0.1 * (bounds.upper - bounds.lower)
+    return np.asarray(np.clip(bend, bounds.lower + margin, bounds.upper - margin))
 
 
 def motion_of_recording(recording: Recording | RecordingStream) -> SplineMotion:

@@ -12,12 +12,10 @@ from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
 from asbuilt.arrays import Array, Image
-from asbuilt.description.appearance import link_solids
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description import ROOT, RobotModel, link_solids
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import UsageError
-from asbuilt.validation.rollout.errors import position_unit
-from asbuilt.validation.rollout.rollout import Rollout, SimulatedMotion
+from asbuilt.validation import Rollout, SimulatedMotion, position_unit
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import Camera, skeleton_frames
 from asbuilt.writers.pictures.view import write_frames
@@ -167,9 +165,14 @@ def _titled(
         left = MARGIN + k * (size[0] + MARGIN)
         total = {"CAD": rollout.cad, "as built": rollout.as_built}[name]
         known = "" if total is None else f": {total.text}"
-        draw.text((left, 6), f"{TITLES[name]}{known}", fill=COLOURS[name], font=_font(15))
         draw.text(
-            (left, 26), f"measured: grey, simulated: lines{enlarged}", fill=QUIET, font=_font(11)
+            (left, 6), f"{TITLES[name]}{known}", fill=COLOURS[name], font=ImageFont.load_default(15)
+        )
+        draw.text(
+            (left, 26),
+            f"measured: grey, simulated: lines{enlarged}",
+            fill=QUIET,
+            font=ImageFont.load_default(11),
         )
         lefts[name] = left
     return lefts
@@ -179,7 +182,7 @@ def _curves(
     canvas: Pillow.Image, shown: _Shown, top: int, width: int, unit: str
 ) -> dict[str, list[tuple[float, float]]]:
     """Draw the axes of the errors; return their points in the picture."""
-    draw, font = ImageDraw.Draw(canvas), _font(11)
+    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(11)
     left, right, bottom = MARGIN + 34, width - MARGIN, top + STRIP - 22
     sizes = {name: 1e3 * shown.size(name) for name in shown.errors}
     most = _rounded_up(max(float(np.nanmax(each)) for each in sizes.values()))
@@ -208,7 +211,3 @@ def _rounded_up(value: float) -> float:
     """Return the next of 1, 2, 5, 10, ... times a power of ten."""
     power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
     return float(power * next(x for x in (1.0, 2.0, 5.0, 10.0) if x * power >= value))
-
-
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size)

@@ -11,9 +11,7 @@ from PIL import Image as Pillow
 from PIL import ImageDraw
 
 from asbuilt.arrays import Array, Image
-from asbuilt.description.appearance import Solid
-from asbuilt.description.model import ROOT
-from asbuilt.description.rotation import rotation_onto
+from asbuilt.description import ROOT, Solid, rotation_onto
 from asbuilt.writers.pictures.motion_view import MotionView
 
 

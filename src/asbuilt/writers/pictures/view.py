@@ -11,11 +11,9 @@ import numpy as np
 from PIL import Image as Pillow
 
 from asbuilt.arrays import Image
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description import RobotModel, load_robot
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.motion_csv import read_motion
+from asbuilt.excitation import Motion, read_motion
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import skeleton_frames

@@ -10,19 +10,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description import ROOT, RobotModel, quaternion_from_rotation, rotation_onto
 from asbuilt.description.appearance import Solid, inertia_ellipsoid
-from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.description.rotation import quaternion_from_rotation, rotation_onto
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError, UsageError
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation import Motion, MotionBounds
 from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.skeleton import round_mesh
@@ -80,7 +77,10 @@ class Viewer:
         port: int = 8080,
         host: str = "127.0.0.1",
     ) -> None:
-        viser = _viser()
+        try:
+            viser = import_module("viser")
+        except ImportError:
+            raise MissingExtraError("viser", "view", "the 3-D view") from None
         self.model = model
         self.motion = motion
         self.view = MotionView.of_motion(
@@ -185,16 +185,12 @@ class Viewer:
                 scene.add_line_segments("/path", segments, PATH, thickness=0.005 * view.radius)
             )
         camera = self.server.initial_camera
-        sideways = (
-            np.array([0.72, -0.72, 0.0])
-            if abs(view.up[2]) > 0.9
-            else np.cross(view.up, [0.3, 0.5, 0.8])
-        )
         camera.fov = np.deg2rad(40)
+        upright = abs(view.up[2]) > 0.9
+        sideways = np.array([0.72, -0.72, 0.0]) if upright else np.cross(view.up, [0.3, 0.5, 0.8])
         towards = sideways + 0.35 * view.up
-        centre = view.centre + BESIDE_PANEL * view.radius * np.cross(
-            view.up, towards
-        ) / np.linalg.norm(np.cross(view.up, towards))
+        across = np.cross(view.up, towards)
+        centre = view.centre + BESIDE_PANEL * view.radius * across / np.linalg.norm(across)
         camera.look_at = tuple(centre)
         camera.position = tuple(centre + DISTANCE * view.radius * towards)
 
@@ -245,20 +241,13 @@ class Viewer:
             handle.cast_shadow = opacity is None
 
 
-@dataclass(slots=True)
-class _Clock:
-    """Time in the motion that is shown [s]."""
-
-    now: float = 0.0
-    shown: float = -1.0
-
-
 class _Controls:
     """Panel of the page: what is shown, and a player, or a slider per joint without a motion."""
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
-        self.clock = _Clock()
+        # Time in the motion, and that of the pose that is shown [s].
+        self.now, self.shown = 0.0, -1.0
         gui, model, motion = viewer.server.gui, viewer.model, viewer.motion
         gui.configure_theme(show_logo=False, show_share_button=False)
         mass = sum(link.inertia.mass for link in model.links)
@@ -314,28 +303,20 @@ class _Controls:
 
     def advance(self, seconds: float) -> None:
         """Move on by so much time, or go where the slider was put."""
-        motion, clock = self.viewer.motion, self.clock
+        motion = self.viewer.motion
         if motion is None:
             return
-        if abs(self.place.value - clock.shown) > 0.006 and clock.shown >= 0.0:
-            clock.now = float(self.place.value)
+        if abs(self.place.value - self.shown) > 0.006 and self.shown >= 0.0:
+            self.now = float(self.place.value)
         elif self.playing.value:
-            clock.now = (clock.now + seconds * float(self.speed.value)) % motion.duration
-        if round(clock.now, 2) != clock.shown:
-            self.viewer._pose(motion.derivative(clock.now))
-            clock.shown = round(clock.now, 2)
-            self.place.value = clock.shown
+            self.now = (self.now + seconds * float(self.speed.value)) % motion.duration
+        if round(self.now, 2) != self.shown:
+            self.viewer._pose(motion.derivative(self.now))
+            self.place.value = self.shown = round(self.now, 2)
 
 
 def _wxyz(rotation: Array) -> tuple[float, ...]:
     return tuple(float(x) for x in quaternion_from_rotation(rotation))
-
-
-def _viser() -> ModuleType:
-    try:
-        return import_module("viser")
-    except ImportError:
-        raise MissingExtraError("viser", "view", "the 3-D view") from None
 
 
 @contextlib.contextmanager

@@ -9,12 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, read_only
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
-from asbuilt.excitation.collision.clearance import Clearance
+from asbuilt.excitation.collision.constraint import Clearance
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motions.motion import JUMPING, Motion, read_only
+from asbuilt.excitation.motions.motion import JUMPING, Motion
 from asbuilt.findings import Cure
 from asbuilt.registry import Registry
 from asbuilt.writers.programs.naming import file_stem

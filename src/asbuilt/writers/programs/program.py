@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
-from asbuilt.excitation.collision.clearance import clearance_along
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.motion_csv import read_motion
+from asbuilt.description import RobotModel, load_robot
+from asbuilt.excitation import Motion, read_motion
+from asbuilt.excitation.collision.constraint import clearance_along
 from asbuilt.tables import wrapped
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.programs.format import (

@@ -14,8 +14,7 @@ import numpy as np
 import tomli_w
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.motion_csv import times_to_end
+from asbuilt.excitation import Motion, times_to_end
 from asbuilt.writers.programs.format import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.naming import plain_text
 
@@ -139,7 +138,8 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
             f" {margin.limit:.4g} {margin.unit}"
         )
         limits.append((label, f"{100 * margin.margin:5.1f} %  {place}"))
-        missing = _without_limit(request, quantity)
+        known = {each.joint for each in request.report.margins if each.quantity == quantity}
+        missing = [plain_text(each) for each in model.joint_names if each not in known]
         if missing:
             limits.append((" " * len(label), f"NOT CHECKED for {', '.join(missing)}"))
     safety = [
@@ -230,11 +230,6 @@ def wrapped(text: str, label: str = "") -> list[str]:
 def commented(lines: Sequence[str], mark: str) -> str:
     """Return the lines as comments that begin with `mark`."""
     return "\n".join(f"{mark} {line}".rstrip() for line in lines)
-
-
-def _without_limit(request: ProgramRequest, quantity: str) -> list[str]:
-    known = {margin.joint for margin in request.report.margins if margin.quantity == quantity}
-    return [plain_text(name) for name in request.model.joint_names if name not in known]
 
 
 GAINS_TO_FILL_IN = (

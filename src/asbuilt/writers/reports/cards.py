@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from asbuilt.identification.bodies.consistency import non_passive_drives
-from asbuilt.identification.result.determination import Determination
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import Determination, IdentificationResult, non_passive_drives
 from asbuilt.tables import share
-from asbuilt.validation.comparison.comparison import Comparison
-from asbuilt.validation.rollout.errors import position_unit
+from asbuilt.validation import Comparison, position_unit
 from asbuilt.validation.verdicts.verdict import Use, Verdict
 from asbuilt.workflow.study import Study
 from asbuilt.writers.reports.page import Card, Mood
@@ -35,8 +32,9 @@ def error_card(found: Verdict, unit: str) -> Card:
 
     cad = "" if found.error.cad is None else f", CAD {text(found.error.cad)}"
     measured = "torque error" if found.measure == "torque" else "simulation error"
-    label = f"{measured} of the exported robot{cad}"
-    return Card(MOODS[found.use], text(found.error.decisive), label)
+    return Card(
+        MOODS[found.use], text(found.error.decisive), f"{measured} of the exported robot{cad}"
+    )
 
 
 def torque_card(comparison: Comparison) -> Card:

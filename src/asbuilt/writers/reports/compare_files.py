@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 
 from asbuilt.findings import joined
+from asbuilt.identification import Determination, IdentificationResult
 from asbuilt.identification.effects.groups import group_title
-from asbuilt.identification.result.determination import Determination
 from asbuilt.tables import share, significant, wrapped
-from asbuilt.validation.attribution.attribution import Attribution
-from asbuilt.validation.comparison.comparison import Comparison, recording_name
-from asbuilt.validation.comparison.drift import Drift
+from asbuilt.validation import Attribution, Comparison, Drift, recording_name
 from asbuilt.validation.comparison.torque_change import joint_table
 from asbuilt.workflow.controller_model import ControllerComparison
 from asbuilt.writers.figures.comparison_figures import (
@@ -24,11 +21,12 @@ from asbuilt.writers.figures.comparison_figures import (
     drift_figure,
 )
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
-from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.cards import determination_card, difference_card, torque_card
 from asbuilt.writers.reports.page import (
     Block,
     Card,
+    Mood,
     cards_markup,
     image_markup,
     list_markup,
@@ -36,9 +34,6 @@ from asbuilt.writers.reports.page import (
     paragraph_markup,
     table_markup,
 )
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
 
 NO_CAUSES = (
     "Causes of the CAD error, and the torque of differences, are unknown: the result has no cause"
@@ -114,7 +109,6 @@ class CadVerdict:
         cards = [
             *([torque_card(comparison)] if comparison.torque else []),
             difference_card(comparison),
-            *([] if found is None else [_explained_card(found)]),
             determination_card(self.determination),
         ]
         said = (
@@ -134,6 +128,9 @@ class CadVerdict:
         causes: tuple[Markup, ...] = ()
         drawn = Markup("")
         if found is not None:
+            mood: Mood = "good" if found.explained > 0.9 else "bad"
+            label = "of the squared CAD error explained by causes"
+            cards.insert(-1, Card(mood, share(found.explained), label))
             causes = (
                 image_markup(
                     figure_address(attribution_figure(found)),
@@ -146,8 +143,6 @@ class CadVerdict:
                 figure_address(difference_figure(comparison)),
                 "Torque of each difference; the numbers are in the table below",
             )
-        title = "Parameters, those with the most torque first"
-        determined = list_markup(self.determination.sentences)
         return page(
             result.robot,
             f"as built against {comparison.cad_source}",
@@ -158,11 +153,16 @@ class CadVerdict:
                     (cards_markup(cards), list_markup(said), table_markup(joints, "joint-table")),
                 ),
                 Block("causes", "Causes of the CAD error", causes, "Causes"),
-                Block("parameters", title, (drawn, parameters), "Parameters"),
+                Block(
+                    "parameters",
+                    "Parameters, those with the most torque first",
+                    (drawn, parameters),
+                    "Parameters",
+                ),
                 Block(
                     "determination",
                     "What the recording determines",
-                    (determined,),
+                    (list_markup(self.determination.sentences),),
                     "Determination",
                 ),
             ],
@@ -170,12 +170,6 @@ class CadVerdict:
             subtitle=f"Identified from {sources}"
             + (f"; validated on {comparison.judged_by}" if comparison.judged_by else ""),
         )
-
-
-def _explained_card(attribution: Attribution) -> Card:
-    explained = attribution.explained
-    label = "of the squared CAD error explained by causes"
-    return Card("good" if explained > 0.9 else "bad", share(explained), label)
 
 
 def write_comparison(
@@ -275,8 +269,3 @@ def _drift_cards(drift: Drift) -> list[Card]:
         figure = f"{significant(most.torque)} {most.unit}"
         cards.append(Card("neutral", figure, f"largest, at {most.joint}, of {of}"))
     return cards
-
-
-def with_files(document: dict[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the document with the paths of what was written."""
-    return {**document, "files": path_texts(files)}

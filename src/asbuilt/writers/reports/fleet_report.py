@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from datetime import date
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
@@ -49,18 +49,6 @@ CHANGES = """\
 ROBOTS = '{% include "robots.html.j2" %}'
 
 
-@dataclass(frozen=True, slots=True)
-class RobotRow:
-    """Hold what the page shows of a robot."""
-
-    robot: RobotDrift
-    status: str
-    p_value: str
-    span: str
-    small: Markup
-    large: Markup
-
-
 def write_fleet_report(path: str | os.PathLike[str], drift: FleetDrift) -> Path:
     """Write the page of a fleet: one file without scripts, which asks the network for nothing.
 
@@ -78,7 +66,12 @@ def fleet_html(drift: FleetDrift) -> str:
     """Return the page as text."""
     order = sorted(
         drift.robots,
-        key=lambda each: (not each.changed, each.false_discovery or 1.0, -_last(each), each.id),
+        key=lambda each: (
+            not each.changed,
+            each.false_discovery or 1.0,
+            -(each.distances or (0.0,))[-1],
+            each.id,
+        ),
     )
     rows = [_row(each) for each in order]
     changes = section_markup(CHANGES, {"verdict": drift_verdict(drift), "rows": rows})
@@ -127,38 +120,30 @@ TYPES = (
 
 
 def _cards(drift: FleetDrift) -> list[Card]:
-    n_changed = len(drift.changed)
-    logs = sum(each.n_logs for each in drift.robots)
     last = max((each.last for each in drift.robots), default="")[:10]
     return [
         Card(
-            "neutral" if n_changed else "good",
-            f"{n_changed} of {len(drift.robots)}",
+            "neutral" if drift.changed else "good",
+            f"{len(drift.changed)} of {len(drift.robots)}",
             "robots changed",
         ),
-        Card("neutral", f"{logs}", "logs"),
+        Card("neutral", f"{sum(each.n_logs for each in drift.robots)}", "logs"),
         Card("neutral", last, "last log"),
         Card("neutral", share(drift.false_discovery_rate, 0), "of the robots named may be wrong"),
     ]
 
 
-def _row(robot: RobotDrift) -> RobotRow:
-    if robot.changed:
-        status = f"changed {(robot.when or '')[:10]}"
-    else:
-        status = "too few days" if robot.p_value is None else "no change"
-    return RobotRow(
-        robot,
-        status,
-        "" if robot.p_value is None else probability_text(robot.p_value),
-        f"{robot.first[:10]} to {robot.last[:10]}",
-        _history(robot, *SMALL, labels=False),
-        _history(robot, *LARGE, labels=True),
-    )
-
-
-def _last(robot: RobotDrift) -> float:
-    return robot.distances[-1] if robot.distances else 0.0
+def _row(robot: RobotDrift) -> dict[str, Any]:
+    """Return what the page shows of a robot."""
+    quiet = "too few days" if robot.p_value is None else "no change"
+    return {
+        "robot": robot,
+        "status": f"changed {(robot.when or '')[:10]}" if robot.changed else quiet,
+        "p_value": "" if robot.p_value is None else probability_text(robot.p_value),
+        "span": f"{robot.first[:10]} to {robot.last[:10]}",
+        "small": _history(robot, *SMALL, labels=False),
+        "large": _history(robot, *LARGE, labels=True),
+    }
 
 
 def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Markup:
@@ -187,7 +172,6 @@ def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Mar
         )
     path = " ".join(f"{x(day):.1f},{y(value):.1f}" for day, value in points)
     parts.append(f'<polyline points="{path}"/>')
-    kind = "changed" if robot.changed else "quiet"
     end = points[-1]
     parts.append(f'<circle cx="{x(end[0]):.1f}" cy="{y(end[1]):.1f}" r="2.2"/>')
     if labels:
@@ -199,8 +183,8 @@ def _history(robot: RobotDrift, width: int, height: int, *, labels: bool) -> Mar
         ]
     title = f"Distance from the reference, day by day; the last is {end[1]:.2g}"
     return Markup(
-        f'<svg class="history {kind}" viewBox="0 0 {width} {height}" role="img"'
-        f' aria-label="{title}">{"".join(parts)}</svg>'
+        f'<svg class="history {"changed" if robot.changed else "quiet"}"'
+        f' viewBox="0 0 {width} {height}" role="img" aria-label="{title}">{"".join(parts)}</svg>'
     )
 
 

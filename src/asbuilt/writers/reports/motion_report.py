@@ -12,13 +12,9 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.excitation.design.designed_motion import Design
-from asbuilt.excitation.design.static_poses import StaticDesign
-from asbuilt.excitation.design_findings import design_findings
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.state_bounds import limited_model
+from asbuilt.dynamics import described_drive, drive_torque, inverse_dynamics
+from asbuilt.excitation import Design, MotionBounds, StaticDesign, design_findings
+from asbuilt.excitation.information.information import limited_model
 from asbuilt.writers.figures.figure_style import blank_figure, figure_address, styled
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.motion_view import MotionView
@@ -72,7 +68,7 @@ def motion_html(design: Design | StaticDesign) -> str:
         ),
     ]
     title = "Predicted standard errors" if isinstance(design, Design) else "Poses"
-    joints = section_markup(JOINTS, {"joints": _joint_addresses(design)})
+    drawn = zip(design.model.joint_names, map(figure_address, joint_figures(design)), strict=True)
     return page(
         design.model.name,
         design_title(design),
@@ -87,18 +83,16 @@ def motion_html(design: Design | StaticDesign) -> str:
                 ),
             ),
             Block("path", "Path of the tool", (image_markup(_path_address(design), PATH),), "Path"),
-            Block("joints-drawn", "Joints and their limits", (joints,), "Joints"),
+            Block(
+                "joints-drawn",
+                "Joints and their limits",
+                (section_markup(JOINTS, {"joints": drawn}),),
+                "Joints",
+            ),
             Block("parameters", title, (table_markup(design_table(design), "rows"),)),
         ],
         title=f"{design.model.name}: designed motion",
     )
-
-
-def _joint_addresses(design: Design | StaticDesign) -> list[tuple[str, str]]:
-    return [
-        (name, figure_address(figure))
-        for name, figure in zip(design.model.joint_names, joint_figures(design), strict=True)
-    ]
 
 
 def joint_figures(design: Design | StaticDesign) -> list[Figure]:

@@ -17,9 +17,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import plain
 from asbuilt.identification.calibration.payload import Payload
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.prediction import Validation
-from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
+from asbuilt.validation import ResidualAnalysis, Validation, VelocityCurve, recording_name
 from asbuilt.workflow.study import Study
 from asbuilt.writers.figures.thinning import thinned
 from asbuilt.writers.files import atomic_write

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,12 @@ from asbuilt.tables import (
     significant,
     wrapped,
 )
-from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation import Claim, recording_name
 from asbuilt.validation.letter import LETTERS
-from asbuilt.validation.review.claim import Claim
 from asbuilt.validation.review.review import DETERMINED, DOUBTFUL, ORDER, RESOLUTION, Review
+from asbuilt.writers.figures.comparison_figures import review_figure
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
-from asbuilt.writers.figures.review_figure import review_figure
-from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
     Block,
     Card,
@@ -130,6 +129,10 @@ def review_table(review: Review) -> Table:
         f"{share(tolerance.mass, 0)} of mass, {share(tolerance.centre, 0)} of the radius of"
         f" gyration for centres and {share(tolerance.inertia, 0)} of the mean moment"
     )
+    widened = (
+        f"Standard errors are widened by the factor {significant(review.misfit)}: no plausible"
+        " numbers explain the log to its errors."
+    )
     return Table.of(
         review.claims,
         CLAIMS,
@@ -144,18 +147,9 @@ def review_table(review: Review) -> Table:
             " centre the radius of gyration, of an inertia the mean moment of the link.",
             "torque: RMS of the difference over all joints.",
             f"Other numbers are free meanwhile: drives without limit, bodies within {plausible}.",
-            *_widened(review),
+            *([widened] if review.misfit > 1.0 else []),
         ),
         important=_important(review),
-    )
-
-
-def _widened(review: Review) -> tuple[str, ...]:
-    if review.misfit <= 1.0:
-        return ()
-    return (
-        "Standard errors are widened by the factor"
-        f" {significant(review.misfit)}: no plausible numbers explain the log to its errors.",
     )
 
 
@@ -200,22 +194,18 @@ def write_review(folder: Path, review: Review) -> dict[str, Path]:
 
 def claims_frame(review: Review) -> pl.DataFrame:
     """Return one row per claim, contradicted ones first, with the fields of `Claim`."""
-    numbers = ("claimed", "estimate", "std_error", "torque", "p_value", "false_discovery")
-    texts = ("what", "joint", "unit", "verdict", "note")
     return pl.DataFrame(
         [claim.as_dict() for claim in review.claims],
         schema_overrides={
-            **dict.fromkeys(numbers, pl.Float64),
-            **dict.fromkeys(texts, pl.String),
+            **dict.fromkeys(
+                ("claimed", "estimate", "std_error", "torque", "p_value", "false_discovery"),
+                pl.Float64,
+            ),
+            **dict.fromkeys(("what", "joint", "unit", "verdict", "note"), pl.String),
             "alias_of": pl.List(pl.String),
             "alike": pl.Boolean,
         },
     )
-
-
-def with_files(review: Review, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the JSON document of a review with the paths of what was written."""
-    return review_document(review) | ({"files": path_texts(files)} if files else {})
 
 
 def review_html(review: Review) -> str:

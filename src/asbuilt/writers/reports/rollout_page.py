@@ -7,10 +7,8 @@ from pathlib import Path
 
 from asbuilt.description.model import RobotModel
 from asbuilt.tables import share
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.rollout.errors import RolloutErrors
+from asbuilt.validation import Rollout, RolloutErrors, recording_name, rollout_findings
 from asbuilt.validation.rollout.joint_errors import joint_table
-from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.writers.files import atomic_write, data_address
 from asbuilt.writers.pictures.rollout_animation import write_rollout_animation
 from asbuilt.writers.reports.page import (
@@ -24,7 +22,7 @@ from asbuilt.writers.reports.page import (
     section_markup,
     table_markup,
 )
-from asbuilt.writers.reports.sections.rollout import TEMPLATE, rollout_fields
+from asbuilt.writers.reports.sections.prediction import ROLLOUT, rollout_fields
 
 
 def write_rollouts(
@@ -35,20 +33,10 @@ def write_rollouts(
     if rollouts and animation is not None:
         files["animation"] = write_rollout_animation(animation, model, rollouts[-1])
     if rollouts and folder is not None:
-        path = folder / "rollout.html"
-        files["rollout"] = write_rollout_page(path, model, rollouts, animation=animation)
+        files["rollout"] = atomic_write(
+            folder / "rollout.html", rollout_html(model, rollouts, animation=animation)
+        )
     return files
-
-
-def write_rollout_page(
-    path: str | Path,
-    model: RobotModel,
-    rollouts: Sequence[Rollout],
-    *,
-    animation: Path | None = None,
-) -> Path:
-    """Write the page of rollouts as a self-contained HTML file, with an animation if given."""
-    return atomic_write(path, rollout_html(model, rollouts, animation=animation))
 
 
 def rollout_html(
@@ -57,18 +45,21 @@ def rollout_html(
     """Return the page of rollouts as text."""
     longest = rollouts[-1]
     logs = sorted({recording_name(each.source) for each in longest.by_recording})
-    cards, words = _cards(longest), "The measured robot in grey, the simulated one as lines"
-    moving = () if animation is None else (image_markup(_address(animation), words),)
+    moving = []
+    if animation is not None:
+        kind = f"image/{animation.suffix.lower().removeprefix('.')}"
+        words = "The measured robot in grey, the simulated one as lines"
+        moving.append(image_markup(data_address(animation.read_bytes(), kind), words))
     joints = [
         table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
     ]
     said = list_markup(each.text for each in rollout_findings(rollouts))
-    motion = section_markup(TEMPLATE, rollout_fields(model, rollouts))
+    motion = section_markup(ROLLOUT, rollout_fields(model, rollouts))
     return page(
         model.name,
         ", ".join(logs),
         [
-            Block("verdict", "Verdict", (cards_markup(cards), said)),
+            Block("verdict", "Verdict", (cards_markup(_cards(longest)), said)),
             Block("animation", "Animation", moving),
             Block("motion", "Measured and simulated motion", (motion,), "Motion"),
             Block("by-joint", "Joint by joint", joints, "Joints"),
@@ -97,8 +88,3 @@ def _cards(rollout: Rollout) -> list[Card]:
         until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""
         cards.append(Card("good", share(less), f"less error than CAD{until}"))
     return cards
-
-
-def _address(path: Path) -> str:
-    """Return a file as the address of a picture that a page holds itself."""
-    return data_address(path.read_bytes(), f"image/{path.suffix.lower().removeprefix('.')}")

@@ -9,8 +9,7 @@ from typing import Any
 
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.registry import Registry
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.prediction import Validation
+from asbuilt.validation import Validation, recording_name
 from asbuilt.workflow.study import Study
 
 

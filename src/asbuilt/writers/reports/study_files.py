@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from asbuilt import writers
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import IdentificationResult, gear_ratios, motor_side_parameters
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
@@ -28,7 +28,7 @@ from asbuilt.writers.tables.tabular import (
 )
 
 if TYPE_CHECKING:
-    from asbuilt.identification.calibration.payload import Payload
+    from asbuilt.identification import Payload
 
 MEMBERS = (
     "result.json",
@@ -129,28 +129,28 @@ def write_study(
     tuple
         Paths by kind, and notes by kind: what a file cannot hold, or why it was not written.
     """
-    from asbuilt.writers.figures.cutoff_figure import cutoff_figure  # noqa: PLC0415 - light start
-    from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
-    from asbuilt.writers.reports.report import write_report  # noqa: PLC0415 - light start
-
     result, shown = study.result, [*study.validations, *study.training]
-    parameters = identified_table(result).as_csv()
     with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
         files = {
             "result": write_result(folder / "result.json", study),
             "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
-            "parameters": atomic_write(folder / "parameters.csv", parameters),
+            "parameters": atomic_write(
+                folder / "parameters.csv", identified_table(result).as_csv()
+            ),
         }
         if payload is not None:
             files["payload"] = write_json(folder / "payload.json", payload_document(payload))
         if shown:
             files["torque"] = _draw(folder / "torque.png", result, shown[0])
         if study.cutoffs is not None:
-            drawn = cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass")
-            files["cutoff"] = save_figure(drawn, folder / "cutoff.png")
+            drawn = writers.cutoff_figure(
+                study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"
+            )
+            files["cutoff"] = writers.save_figure(drawn, folder / "cutoff.png")
         if shown:
-            page = folder / "report.html"
-            files["report"] = write_report(page, study, payload=payload, command=command)
+            files["report"] = writers.write_report(
+                folder / "report.html", study, payload=payload, command=command
+            )
         robots, notes = _write_robot(folder, result)
         return files | robots, notes
 
@@ -180,11 +180,13 @@ def _write_robot(
         impossible = original is not None and impossibilities(built.model)
         in_simulators, kept = keeping_described_drives(built.model, result.model)
         if impossible:
-            can = "the nearest consistent model can be exported"
-            notes["urdf"] = (f"not written: {impossible[0]}; {can}",)
+            notes["urdf"] = (
+                f"not written: {impossible[0]}; the nearest consistent model can be exported",
+            )
         elif original is not None:
-            place = folder / "robot.urdf"
-            files["urdf"], said = write_urdf(place, in_simulators, original=original)
+            files["urdf"], said = write_urdf(
+                folder / "robot.urdf", in_simulators, original=original
+            )
             notes["urdf"] = (*said, *kept)
     except (IdentifiabilityError, DescriptionError) as problem:
         notes[kind] = (f"not written: {problem}",)
@@ -209,10 +211,7 @@ def write_validations(
 
 
 def _draw(path: Path, result: IdentificationResult, shown: Validation) -> Path:
-    from asbuilt.writers.figures.figure_style import save_figure  # noqa: PLC0415 - light start
-    from asbuilt.writers.figures.torque_figure import torque_figure  # noqa: PLC0415 - light start
-
-    figure = torque_figure(
+    figure = writers.torque_figure(
         shown.t,
         shown.measured,
         shown.predicted,
@@ -221,4 +220,4 @@ def _draw(path: Path, result: IdentificationResult, shown: Validation) -> Path:
         units=shown.units,
         title=f"{result.robot}: {Path(shown.source).name}",
     )
-    return save_figure(figure, path)
+    return writers.save_figure(figure, path)

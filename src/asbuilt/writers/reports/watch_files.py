@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from asbuilt.codec import json_text
-from asbuilt.experiment.logs.long_recordings import head_of
-from asbuilt.experiment.logs.recordings import Recorded
-from asbuilt.experiment.quality.checks import RecordingCheck
-from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment import Recorded, RecordingCheck, Samples, head_of
 from asbuilt.findings import Finding
 from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.workflow.watching.threshold_files import thresholds_text
-from asbuilt.workflow.watching.watched_log import WatchedLog, duration
+from asbuilt.workflow.watching.watched_log import WatchedLog, duration, thresholds_text
 from asbuilt.writers.figures.figure_style import figure_address, save_figure
 from asbuilt.writers.figures.recording_figures import recording_figure, watch_figure
-from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.files import atomic_write
 from asbuilt.writers.reports.page import (
     Block,
     Card,
@@ -42,11 +37,6 @@ def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
         "figure": save_figure(watch_figure(watched), folder / "watch.png"),
         "thresholds": atomic_write(folder / "thresholds.json", thresholds_text(watched.thresholds)),
     }
-
-
-def watch_document(watched: WatchedLog, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the JSON document of a watched log with the paths of what was written."""
-    return {**watched.as_document(), "files": path_texts(files)}
 
 
 def watch_html(watched: WatchedLog) -> str:

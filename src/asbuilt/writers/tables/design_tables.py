@@ -11,10 +11,8 @@ import numpy as np
 
 from asbuilt.codec import plain
 from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.excitation import LimitReport, StaticDesign, design_findings
 from asbuilt.excitation.design.designed_motion import Design, position_of
-from asbuilt.excitation.design.static_poses import StaticDesign
-from asbuilt.excitation.design_findings import design_findings
-from asbuilt.excitation.limits import LimitReport
 from asbuilt.findings import Cure, joined
 from asbuilt.tables import WIDTH, Column, Table, numbered, share, significant, wrapped
 from asbuilt.writers.files import path_texts
@@ -30,8 +28,6 @@ Spell = Callable[[Cure | str | None], str]
 
 def design_document(design: Design | StaticDesign, files: Mapping[str, Path]) -> dict[str, Any]:
     """Return the JSON document of a designed motion or of static poses."""
-    own = _motion_document(design) if isinstance(design, Design) else _poses_document(design)
-    findings = design_findings(design)
     return {
         "robot": design.model.name,
         "duration": design.motion.duration,
@@ -41,26 +37,25 @@ def design_document(design: Design | StaticDesign, files: Mapping[str, Path]) ->
         "worst_margin": design.limits.worst_margin,
         "collision_distance": design.collision_distance,
         "solve_seconds": design.solve_seconds,
-        **own,
-        "findings": [finding.as_dict() for finding in findings],
+        **_own_document(design),
+        "findings": [finding.as_dict() for finding in design_findings(design)],
         "files": path_texts(files),
     }
 
 
-def _poses_document(design: StaticDesign) -> dict[str, Any]:
-    return {
-        "parametrisation": "static",
-        "n_harmonics": None,
-        "n_poses": len(design.poses),
-        "n_parameters": design.n_parameters,
-        "poses": design.poses.tolist(),
-        "joints": list(design.model.joint_names),
-        "d_efficiency": None,
-        "n_turns": design.turns,
-    }
-
-
-def _motion_document(design: Design) -> dict[str, Any]:
+def _own_document(design: Design | StaticDesign) -> dict[str, Any]:
+    """Return what only motions or only poses have."""
+    if isinstance(design, StaticDesign):
+        return {
+            "parametrisation": "static",
+            "n_harmonics": None,
+            "n_poses": len(design.poses),
+            "n_parameters": design.n_parameters,
+            "poses": design.poses.tolist(),
+            "joints": list(design.model.joint_names),
+            "d_efficiency": None,
+            "n_turns": design.turns,
+        }
     bound, base, options = design.bound, design.base, design.options
     columns = {
         "id": base.ids,
@@ -71,7 +66,6 @@ def _motion_document(design: Design) -> dict[str, Any]:
         "torque_effect": design.torque_effects,
     }
     rows = zip(*map(plain, columns.values()), strict=True)
-    findings = design_findings(design)
     return {
         "parametrisation": options.parametrisation,
         "drive": str(base.drive),
@@ -93,7 +87,11 @@ def _motion_document(design: Design) -> dict[str, Any]:
         "durations_tried": [asdict(trial) for trial in design.trials],
         "searches": len(design.candidates),
         "interrupted": design.interrupted,
-        "notes": [finding.message for finding in findings if finding.code != "duration_tried"],
+        "notes": [
+            finding.message
+            for finding in design_findings(design)
+            if finding.code != "duration_tried"
+        ],
     }
 
 
@@ -170,12 +168,12 @@ def design_facts(design: Design | StaticDesign) -> list[tuple[str, str]]:
 
 
 def design_table(design: Design | StaticDesign) -> Table:
-    """Return the parameters of a designed motion, or the poses."""
-    return _pose_table(design) if isinstance(design, StaticDesign) else _parameter_table(design)
+    """Return the poses, or the predicted standard errors of a designed motion.
 
-
-def _parameter_table(design: Design) -> Table:
-    """Return the predicted standard errors, parameters in focus and worst determined ones first."""
+    Parameters in focus and worst determined ones are first.
+    """
+    if isinstance(design, StaticDesign):
+        return _pose_table(design)
     cad = np.array([np.nan if value is None else value for value in _cad(design)])
     base, errors, effects = design.base, design.std_errors, design.torque_effects
     ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)

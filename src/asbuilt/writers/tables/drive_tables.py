@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from asbuilt.codec import plain
-from asbuilt.dynamics.drives.selection import available_terms
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics import DriveTerm, available_terms
 from asbuilt.findings import joined
-from asbuilt.identification.drives.motor_side import MotorSideParameter
+from asbuilt.identification import MotorSideParameter
 from asbuilt.tables import Column, Table, percent, plus_minus, stacked
 
 if TYPE_CHECKING:
-    from asbuilt.identification.calibration.torque_gains import TorqueGains
-    from asbuilt.identification.calibration.two_channels import TwoChannelEstimate
+    from asbuilt.identification import TorqueGains, TwoChannelEstimate
 
 MOST_NOTES, MOST_ROWS = 3, 14
 """Notes and rows of a short text."""

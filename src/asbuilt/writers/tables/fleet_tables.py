@@ -8,10 +8,7 @@ from typing import Any
 from asbuilt.findings import Cure, Finding
 from asbuilt.tables import Column, Table, share, wrapped
 from asbuilt.validation.comparison.significance import probability_text
-from asbuilt.workflow.fleet.drift.drift import FleetDrift
-from asbuilt.workflow.fleet.overview import Overview
-from asbuilt.workflow.fleet.reduction.add import Addition
-from asbuilt.workflow.fleet.reduction.log_task import LogReport
+from asbuilt.workflow import Addition, FleetDrift, LogReport, Overview
 
 MOST = 10
 """Failed logs, robots and findings shown without `full`."""

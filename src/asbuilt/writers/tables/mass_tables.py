@@ -12,34 +12,26 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Column, Table
-from asbuilt.workflow.masses.link_masses import LinkMasses
-from asbuilt.workflow.masses.mass_findings import LinkMass
+from asbuilt.workflow import LinkMass, LinkMasses
 from asbuilt.writers.models.as_built import as_built
 
 
 @dataclass(frozen=True, slots=True)
 class ExportedMasses:
-    """Hold the masses of the links [kg] by CAD, None if unknown, and of the exported robot."""
+    """Hold of each link its name, its mass by CAD [kg], None if unknown, and as exported."""
 
-    names: tuple[str, ...]
-    cad: tuple[float | None, ...]
-    as_built: tuple[float, ...]
+    links: tuple[tuple[str, float | None, float], ...]
 
     @property
     def total_cad(self) -> float | None:
         """Total mass by CAD [kg]; None if that of a link is unknown."""
-        known = [mass for mass in self.cad if mass is not None]
-        return sum(known) if len(known) == len(self.cad) else None
+        known = [mass for _, mass, _ in self.links if mass is not None]
+        return sum(known) if len(known) == len(self.links) else None
 
     @property
     def total_as_built(self) -> float:
         """Total mass of the exported robot [kg]."""
-        return sum(self.as_built)
-
-    @property
-    def links(self) -> tuple[tuple[str, float | None, float], ...]:
-        """Name, mass by CAD and as built of each link."""
-        return tuple(zip(self.names, self.cad, self.as_built, strict=True))
+        return sum(mass for *_, mass in self.links)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the masses as plain data."""
@@ -59,15 +51,16 @@ def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
         model = as_built(result).model
     except (IdentifiabilityError, DescriptionError):
         return None
-    pairs = [
-        (link, built)
-        for link, built in zip(result.model.links, model.links, strict=True)
-        if not link.negligible
-    ]
     return ExportedMasses(
-        names=tuple(link.name for link, _ in pairs),
-        cad=tuple(float(link.inertia.mass) if link.inertia_known else None for link, _ in pairs),
-        as_built=tuple(float(built.inertia.mass) for _, built in pairs),
+        tuple(
+            (
+                link.name,
+                float(link.inertia.mass) if link.inertia_known else None,
+                float(built.inertia.mass),
+            )
+            for link, built in zip(result.model.links, model.links, strict=True)
+            if not link.negligible
+        )
     )
 
 
@@ -97,8 +90,8 @@ def mass_table(masses: ExportedMasses) -> Table:
         "As built: links of the exported robot, the closest to CAD within the standard errors."
         " Torques determine combinations of masses, not each mass."
     )
-    total = ("total", masses.total_cad, masses.total_as_built)
-    return Table.of([*masses.links, total], columns, "Masses of the links", notes=(note,))
+    rows = [*masses.links, ("total", masses.total_cad, masses.total_as_built)]
+    return Table.of(rows, columns, "Masses of the links", notes=(note,))
 
 
 def masses_document(masses: LinkMasses) -> dict[str, Any]:
@@ -150,11 +143,14 @@ def masses_table(masses: LinkMasses) -> Table:
             "Ixx Iyy Izz computed", "kg m^2", detail=True, of=lambda each: _moments(each.computed)
         ),
     )
-    title = f"{masses.model.name}: mass properties of the description beside those computed"
-    details = (
-        "Moments are about the centre of mass; the density is mass over volume of geometry.",
+    return Table.of(
+        masses.links,
+        columns,
+        f"{masses.model.name}: mass properties of the description beside those computed",
+        details=(
+            "Moments are about the centre of mass; the density is mass over volume of geometry.",
+        ),
     )
-    return Table.of(masses.links, columns, title, details=details)
 
 
 def _mass(body: LinkInertia | None) -> float | None:

@@ -11,8 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.codec import plain
 from asbuilt.findings import joined
-from asbuilt.identification.calibration.added_moments import AddedMoments
-from asbuilt.identification.calibration.payload import Payload
+from asbuilt.identification import AddedMoments, Payload
 from asbuilt.tables import Cell, Column, Table, estimated, plus_minus, stacked, wrapped
 from asbuilt.validation.comparison.comparison import paired_torque_table
 from asbuilt.writers.files import path_texts

@@ -11,8 +11,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.formats.document import model_document
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics import BaseParameters, parameter_values
 from asbuilt.findings import joined
 from asbuilt.tables import Cell, Column, Table, stacked, wrapped
 
@@ -59,17 +58,22 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
 
     The model, and the reason for every link that is physically inconsistent.
     """
-    inconsistencies = {
-        link.name: link.inertia.inconsistency() for link in model.links if link.inertia_known
-    }
+    reasons = inconsistency_of_links(model)
     return {
         "robot": model.name,
         "headline": robot_headline(model),
-        "physically_consistent": all(reason is None for reason in inconsistencies.values()),
-        "inconsistencies": {
-            name: reason for name, reason in inconsistencies.items() if reason is not None
-        },
+        "physically_consistent": not reasons,
+        "inconsistencies": reasons,
         "model": model_document(model),
+    }
+
+
+def inconsistency_of_links(model: RobotModel) -> dict[str, str]:
+    """Return by name why links are physically inconsistent, those that are consistent left out."""
+    return {
+        link.name: reason
+        for link in model.links
+        if link.inertia_known and (reason := link.inertia.inconsistency()) is not None
     }
 
 
@@ -171,20 +175,16 @@ LINKS = (
 
 def robot_text(model: RobotModel, full: bool = False) -> str:
     """Return what `asbuilt show` prints; every column and note if `full`."""
-    head = [
+    merged = [f"{frame.name} (on {_link_name(model, frame.link)})" for frame in model.frames]
+    known = {"source": model.citation, "read from": model.source, "fixed frames": ", ".join(merged)}
+    head = (
         robot_headline(model),
         f"gravity {_vector(model.gravity)} m/s^2 in {model.root_link}",
-    ]
-    if model.citation:
-        head.append(f"source: {model.citation}")
-    if model.source:
-        head.append(f"read from: {model.source}")
-    merged = [f"{frame.name} (on {_link_name(model, frame.link)})" for frame in model.frames]
-    if merged:
-        head.append(f"fixed frames: {', '.join(merged)}")
-    lines = [wrapped(line) for line in (*head, *(f"note: {note}" for note in model.notes))]
+        *(f"{what}: {text}" for what, text in known.items() if text),
+        *(f"note: {note}" for note in model.notes),
+    )
     tables = stacked((joints_table(model), links_table(model)), full)
-    return "\n".join([*lines, "", tables])
+    return "\n".join([*map(wrapped, head), "", tables])
 
 
 def robot_headline(model: RobotModel) -> str:
@@ -192,11 +192,7 @@ def robot_headline(model: RobotModel) -> str:
     mass = f"{_mass(model):.4g}"
     size = f"{model.name}: {model.n_joints} joints, {mass} kg moving"
     unknown = [link.name for link in model.links if not link.inertia_known]
-    reasons = {
-        link.name: reason
-        for link in model.links
-        if link.inertia_known and (reason := link.inertia.inconsistency()) is not None
-    }
+    reasons = inconsistency_of_links(model)
     if reasons:
         name, reason = next(iter(reasons.items()))
         count = f"{len(reasons)} of {model.n_links} links are" if len(reasons) > 1 else f"{name} is"
@@ -216,8 +212,12 @@ def base_table(base: BaseParameters, model: RobotModel) -> Table:
         Column("value", align="decimal", of=lambda k: float(values[k])),
     )
     title = f"{base.robot}: {n} base parameters of {base.n_standard} standard parameters"
-    important = None if n <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS))
-    return Table.of(range(n), columns, title, important=important)
+    return Table.of(
+        range(n),
+        columns,
+        title,
+        important=None if n <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS)),
+    )
 
 
 def identifiability_table(base: BaseParameters) -> Table:

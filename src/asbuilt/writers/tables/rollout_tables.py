@@ -10,10 +10,9 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.findings import Cure
 from asbuilt.tables import Cell, Column, Table, wrapped
-from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation import Rollout, recording_name, rollout_findings
 from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors, position_unit
 from asbuilt.validation.rollout.joint_errors import in_milli, joint_table
-from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 
 if TYPE_CHECKING:
     from asbuilt.workflow.simulation.refinement import Refined

@@ -12,23 +12,29 @@ import numpy as np
 
 from asbuilt.codec import json_text, plain
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics import BaseParameters, parameter_values
 from asbuilt.experiment.quality.checks import RecordingCheck
-from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
-from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification import (
+    IdentificationResult,
+    TorqueMetrics,
+    gear_ratios,
+    motor_side_parameters,
+)
 from asbuilt.tables import Column, Table, share
-from asbuilt.validation.comparison.comparison import recording_name
-from asbuilt.validation.generalisation.cad_verdict import cad_verdict
-from asbuilt.validation.prediction import Validation, torque_units
-from asbuilt.validation.verdicts.verdict import Verdict, study_verdict
-from asbuilt.workflow.study import Study
+from asbuilt.validation import (
+    Validation,
+    Verdict,
+    cad_verdict,
+    recording_name,
+    study_verdict,
+    torque_units,
+)
+from asbuilt.workflow import Study
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.tables.mass_tables import exported_masses
 
 if TYPE_CHECKING:
-    from asbuilt.workflow.information_efficiency import RecordedInformation
+    from asbuilt.workflow import RecordedInformation
 
 MOST_FINDINGS = 12
 """Findings in a document of `identify`, the weightiest; summary.txt and result.json have all."""

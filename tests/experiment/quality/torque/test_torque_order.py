@@ -18,8 +18,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, friction_bases
-from asbuilt.experiment.quality.torque.torque_order import swapped_torques
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, friction_bases, swapped_torques
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 

@@ -16,7 +16,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.fleet.drift.days import by_day, day_of
+from asbuilt.workflow.fleet.drift.columns import by_day, day_of
 from asbuilt.workflow.fleet.drift.drift import FleetDrift, fleet_drift
 from asbuilt.workflow.fleet.ledger.entry import entry_from
 from asbuilt.workflow.fleet.ledger.ledger import open_ledger
@@ -91,12 +91,14 @@ def test_the_robots_that_changed_are_named_and_dated(drift: FleetDrift) -> None:
     assert "drift_too_few_days" in {finding.code for finding in drift.findings}
 
 
+@pytest.mark.study
 def test_the_friction_that_grew_is_named_with_its_size(drift: FleetDrift) -> None:
     (found,) = next(each for each in drift.robots if each.id == "R2").what[:1]
     assert (found.effect, found.joint, found.unit) == ("friction", MODEL.joint_names[0], "%")
     assert found.estimate == pytest.approx(40.0, abs=8.0)
 
 
+@pytest.mark.study
 def test_the_torque_of_a_payload_is_that_of_its_weight_and_inertia(drift: FleetDrift) -> None:
     found = next(each for each in drift.robots if each.id == "R1").what[0]
     assert found.effect == "payload"

@@ -20,7 +20,7 @@ from asbuilt.errors import UsageError
 from asbuilt.identification.ensembles.ensemble import draw_ensemble
 from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.writers.models.ensembles.ensemble_files import write_ensemble
+from asbuilt.writers.models.ensembles import write_ensemble
 from asbuilt.writers.models.export import Export, export_result
 from asbuilt.writers.models.simulators.simulator_format import SIMULATOR_FORMATS
 

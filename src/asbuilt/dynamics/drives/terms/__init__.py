@@ -1,1 +1,1 @@
-"""Drive terms, one per file, those of one kind in a folder; the registry finds them all."""
+"""Drive terms, those of one kind in a module; the registry finds them all."""

@@ -13,7 +13,7 @@ from asbuilt.description.joint_matching import (
     words_of,
 )
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.experiment.logs.columns.roles import (
     Role,
     commanded,
@@ -64,12 +64,8 @@ class Layout:
         return list(dict.fromkeys([*times, *names]))
 
 
-@dataclass
-class _Group:
-    """Columns of one quantity, with the joints that their names give."""
-
-    names: list[str] = field(default_factory=list)
-    roles: list[Role] = field(default_factory=list)
+_Group = list[Role]
+"""Columns of one quantity, with the joints that their names give."""
 
 
 def find_layout(
@@ -95,22 +91,12 @@ def find_layout(
     """
     sheet = sheet or RecordingSheet()
     groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})}, sheet)
-    for quantity in _QUANTITIES:
-        listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
-        if listed is not None:
-            groups[quantity, ""] = _listed(source, names, order, quantity, listed, sheet)
-    for side, columns in (
-        ("motor", sheet.columns.motor_position),
-        ("link", sheet.columns.link_position),
-    ):
-        if columns is not None:
-            groups["position", side] = _listed(source, names, order, "position", columns, sheet)
-    for key, columns in sheet.columns.extra.items():
-        groups[key, "sheet"] = _listed(source, names, order, key, columns, sheet)
+    for (quantity, kind), listed in sheet.columns.by_group.items():
+        groups[quantity, kind] = _listed(source, names, order, quantity, listed, sheet)
     position = groups.get(("position", ""))
     torque, torque_source = _torque_group(groups)
     notes: list[str] = []
-    either = torque or groups.get(("command", ""))
+    either = groups.get(("command", "")) if torque is None else torque
     if position is None or either is None:
         absent = " and ".join(
             what
@@ -135,12 +121,12 @@ def find_layout(
     if torque is None:
         notes += _without_command(chosen, groups["command", ""])
     labels = _sorted_labels(source, "position", position, sheet)
-    ordered: dict[str, tuple[str, ...]] = {"position": tuple(position.names)}
+    ordered: dict[str, tuple[str, ...]] = {"position": tuple(_columns(position))}
     for quantity, group in chosen.items():
         if quantity == "position":
             continue
-        if quantity in sheet.columns.extra and len(group.names) == 1:
-            ordered[quantity] = (group.names[0],) * len(labels)
+        if quantity in sheet.columns.extra and len(group) == 1:
+            ordered[quantity] = (group[0].column,) * len(labels)
             continue
         if quantity == "torque" and sheet.columns.torque is None:
             some = _of_some_joints(group, position)
@@ -153,7 +139,7 @@ def find_layout(
             if quantity in _QUANTITIES and (quantity != "command" or torque is None):
                 raise
             notes.append(
-                f"the {len(group.names)} columns of {quantity} do not match the {len(labels)}"
+                f"the {len(group)} columns of {quantity} do not match the {len(labels)}"
                 " joints and were left out"
             )
     joint_names = tuple(labels)
@@ -191,24 +177,22 @@ def _chosen(
 
 def _without_command(chosen: Mapping[str, _Group], command: _Group) -> list[str]:
     """Leave out joints that no command is logged for, such as a gripper's, and say so."""
-    commanded = {role.joint for role in command.roles}
-    joints = [role.joint for role in chosen["position"].roles]
+    commanded = {role.joint for role in command}
+    joints = [role.joint for role in chosen["position"]]
     if "" in commanded or not commanded < set(joints):
         return []
     for group in chosen.values():
-        kept = [k for k, role in enumerate(group.roles) if role.joint in commanded]
-        group.names = [group.names[k] for k in kept]
-        group.roles = [group.roles[k] for k in kept]
+        group[:] = [role for role in group if role.joint in commanded]
     listed = ", ".join(joint for joint in joints if joint not in commanded)
     return [f"joints without a command were left out: {listed}"]
 
 
 def _refuse_unscaled(source: str, torque: _Group, sheet: RecordingSheet) -> None:
     """Raise if the torques have a unit without a factor to N m, and no gains are given."""
-    role = torque.roles[0]
+    role = torque[0]
     if role.kind == "unscaled" and sheet.gains is None and sheet.units.torque is None:
         raise RecordingError(
-            f"{source}: the {role.quantity} columns ({torque.names[0]}, ...) are in {role.unit},"
+            f"{source}: the {role.quantity} columns ({role.column}, ...) are in {role.unit},"
             " which does not say how many N m they are",
             cure=Cure(
                 "give the torque per logged unit of each joint, such as a hundredth of its rated"
@@ -251,10 +235,8 @@ def _group(
             role = recognise(name) or commanded(name)
         if role is None:
             continue
-        role = replace(role, joint=renamed.get(role.joint, role.joint))
-        group = groups.setdefault((role.quantity, role.kind), _Group())
-        group.names.append(name)
-        group.roles.append(role)
+        role = replace(role, joint=renamed.get(role.joint, role.joint), column=name)
+        groups.setdefault((role.quantity, role.kind), []).append(role)
     for group in groups.values():
         _count_by_index(group)
     groups = _with_two_encoders(groups)
@@ -273,10 +255,10 @@ def _with_two_encoders(groups: dict[tuple[str, str], _Group]) -> dict[tuple[str,
     rest = {key: each for key, each in groups.items() if key[0] != "position"}
     if other is None:
         return {**rest, ("position", ""): motor}
-    labels = [words_of(role.joint) for role in other.roles]
+    labels = [words_of(role.joint) for role in other]
     if not all(words[:1] == ["link"] for words in labels):
         return groups
-    other.roles = [replace(role, joint="") for role in other.roles]
+    other[:] = [replace(role, joint="") for role in other]
     return {**rest, ("position", ""): motor, ("position", "link"): other}
 
 
@@ -285,10 +267,10 @@ def _count_by_index(group: _Group) -> None:
 
     So that `/controller/feedback/positions[0]` counts joints, and names none.
     """
-    numbers = [role.index for role in group.roles]
+    numbers = [role.index for role in group]
     counts = None not in numbers and len(set(numbers)) == len(numbers) > 1
-    if counts and len({role.joint for role in group.roles}) == 1:
-        group.roles = [replace(role, joint="") for role in group.roles]
+    if counts and len({role.joint for role in group}) == 1:
+        group[:] = [replace(role, joint="") for role in group]
 
 
 def _goals(
@@ -298,17 +280,21 @@ def _goals(
     position = found.get(("position", ""))
     if position is None:
         return {}
-    goals = [(name, role) for name in names if (role := goal_of_position(name)) is not None]
-    group = _Group([name for name, _ in goals], [role for _, role in goals])
-    _count_by_index(group)
-    if not goals or sorted(_places(group)) != sorted(_places(position)):
-        return {}
-    return {("command", ""): group}
+    goals = [
+        replace(role, column=name) for name in names if (role := goal_of_position(name)) is not None
+    ]
+    _count_by_index(goals)
+    matched = goals and sorted(_places(goals)) == sorted(_places(position))
+    return {("command", ""): goals} if matched else {}
+
+
+def _columns(group: _Group) -> list[str]:
+    return [role.column for role in group]
 
 
 def _places(group: _Group) -> list[tuple[str, int]]:
     """Return which joint each column belongs to, by name or else by number."""
-    return [(role.joint, -1 if role.joint else role.index or 0) for role in group.roles]
+    return [(role.joint, -1 if role.joint else role.index or 0) for role in group]
 
 
 def _groups_by_unit(
@@ -320,11 +306,8 @@ def _groups_by_unit(
     for name in names:
         role = recognise_by_unit(name)
         if role is not None and role.quantity not in quantities:
-            group = found.setdefault((role.quantity, ""), _Group())
-            group.names.append(name)
-            group.roles.append(role)
-    times = found.get(("time", ""))
-    if times is not None and len(times.names) > 1:
+            found.setdefault((role.quantity, ""), []).append(replace(role, column=name))
+    if len(found.get(("time", ""), ())) > 1:
         del found["time", ""]
     return found
 
@@ -374,24 +357,27 @@ def _listed(
     sheet: RecordingSheet,
 ) -> _Group:
     found = [_column(source, names, order, what, column) for column in columns]
-    repeated = [name for name in found if found.count(name) > 1]
-    if repeated:
-        raise RecordingError(
-            f"{source}: the sheet gives column {repeated[0]!r} twice for {what}",
-            file=source,
-            value=repeated[0],
-        )
+    repeated = next((name for name in found if found.count(name) > 1), None)
     labels = _listed_joints(sheet) or ["" for _ in found]
-    if len(labels) != len(found):
-        raise RecordingError(
+    refuse(
+        RecordingError,
+        (
+            repeated is not None,
+            f"{source}: the sheet gives column {repeated!r} twice for {what}",
+            {"file": source, "value": repeated},
+        ),
+        (
+            len(labels) != len(found),
             f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
             f" {what}",
-            file=source,
-            value=len(found),
-            expected=len(labels),
-        )
+            {"file": source, "value": len(found), "expected": len(labels)},
+        ),
+    )
     quantity = what if what in _QUANTITIES else "torque"
-    return _Group(found, [Role(quantity, label, k) for k, label in enumerate(labels, start=1)])  # type: ignore[arg-type]
+    return [
+        Role(quantity, label, k, column=name)  # type: ignore[arg-type]
+        for k, (label, name) in enumerate(zip(labels, found, strict=True), start=1)
+    ]
 
 
 def _listed_joints(sheet: RecordingSheet) -> list[str] | None:
@@ -421,28 +407,28 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
     """
     _refuse_repeats(source, quantity, group)
     listed = _listed_joints(sheet)
-    if listed is None and any(role.joint for role in group.roles):
-        group.roles = [
+    if listed is None and any(role.joint for role in group):
+        group[:] = [
             role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}")
-            for role in group.roles
+            for role in group
         ]
-    if all(role.joint for role in group.roles):
-        labels = [role.joint for role in group.roles]
+    if all(role.joint for role in group):
+        labels = [role.joint for role in group]
         if listed is not None:
             _refuse_other_joints(source, quantity, labels, listed)
         return labels
     _sort_by_number(source, quantity, group)
     if listed is not None:
-        if len(listed) != len(group.names):
+        if len(listed) != len(group):
             raise RecordingError(
                 f"{source}: the sheet names {len(listed)} joints but the log has"
-                f" {len(group.names)} {quantity} columns",
+                f" {len(group)} {quantity} columns",
                 file=source,
-                value=len(group.names),
+                value=len(group),
                 expected=len(listed),
             )
         return list(listed)
-    return [f"joint_{k}" for k in range(1, len(group.names) + 1)]
+    return [f"joint_{k}" for k in range(1, len(group) + 1)]
 
 
 def _refuse_other_joints(
@@ -467,39 +453,34 @@ def _refuse_other_joints(
 
 def _refuse_repeats(source: str, quantity: str, group: _Group) -> None:
     places: dict[tuple[str, int | None], str] = {}
-    for name, role in zip(group.names, group.roles, strict=True):
+    for role in group:
         place = (role.joint, None) if role.joint else ("", role.index)
         if place in places:
             raise RecordingError(
-                f"{source}: columns {places[place]!r} and {name!r} both look like the {quantity} of"
-                " the same joint",
+                f"{source}: columns {places[place]!r} and {role.column!r} both look like the"
+                f" {quantity} of the same joint",
                 cure=Cure(f"choose in a recording sheet: [columns] {quantity} = [...]"),
                 file=source,
-                value=[places[place], name],
+                value=[places[place], role.column],
             )
-        places[place] = name
+        places[place] = role.column
 
 
 def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
-    order = sorted(
-        range(len(group.names)),
-        key=lambda k: (group.roles[k].index is not None, group.roles[k].index or 0),
-    )
-    group.names = [group.names[k] for k in order]
-    group.roles = [group.roles[k] for k in order]
-    indices = [role.index for role in group.roles if role.index is not None]
-    if indices and len(indices) == len(group.roles):
+    group.sort(key=lambda role: (role.index is not None, role.index or 0))
+    indices = [role.index for role in group if role.index is not None]
+    if indices and len(indices) == len(group):
         start = 0 if indices[0] == 0 else 1
         missing = sorted(set(range(start, indices[-1] + 1)) - set(indices))
         if missing:
             raise RecordingError(
                 f"{source}: the {quantity} column of joint number {missing[0]} is missing; there"
-                f" are {', '.join(group.names)}",
+                f" are {', '.join(_columns(group))}",
                 cure=Cure(
                     f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
                 ),
                 file=source,
-                available=group.names,
+                available=_columns(group),
             )
 
 
@@ -508,9 +489,9 @@ def _of_some_joints(group: _Group, position: _Group) -> tuple[str, ...] | None:
 
     None where every joint has one, or the names do not say which joint each belongs to.
     """
-    own = dict(zip(_places(group), group.names, strict=True))
+    own = dict(zip(_places(group), _columns(group), strict=True))
     places = _places(position)
-    if len(own) < len(group.names) or not set(own) < set(places):
+    if len(own) < len(group) or not set(own) < set(places):
         return None
     return tuple(own.get(place, "") for place in places)
 
@@ -520,28 +501,26 @@ def _aligned(
 ) -> tuple[str, ...]:
     """Return the columns of a group in the order of the position columns."""
     own = _sorted_labels(source, quantity, group, sheet)
-    named = all(role.joint for role in group.roles)
+    columns = _columns(group)
     if len(own) != len(labels):
         raise RecordingError(
             f"{source}: {len(labels)} position columns but {len(own)} {quantity} columns"
-            f" ({', '.join(group.names)}); each joint needs one of each",
+            f" ({', '.join(columns)}); each joint needs one of each",
             cure=Cure(f"choose columns in a recording sheet: [columns] {quantity} = [...]"),
             file=source,
             value=len(own),
             expected=len(labels),
         )
-    if not named or list(own) == list(labels):
-        return tuple(group.names)
+    if list(own) == list(labels) or not all(role.joint for role in group):
+        return tuple(columns)
     if set(own) == set(labels):
-        return tuple(group.names[own.index(label)] for label in labels)
+        return tuple(columns[own.index(label)] for label in labels)
     if all(label.startswith("joint_") for label in labels) and numbers_in(own) is not None:
-        return tuple(
-            name for _, name in sorted(zip(numbers_in(own) or [], group.names, strict=True))
-        )
+        return tuple(name for _, name in sorted(zip(numbers_in(own) or [], columns, strict=True)))
     with suppress(RecordingError):
         order, assumed = match_joints(own, labels, source=source, robot=source)
         if not assumed:
-            return tuple(group.names[k] for k in order)
+            return tuple(columns[k] for k in order)
     raise RecordingError(
         f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not those of the"
         f" position columns ({', '.join(labels)})",
@@ -567,7 +546,7 @@ def _of_followers(
 def _order_for(
     model: RobotModel, source: str, labels: Sequence[str], position: _Group, sheet: RecordingSheet
 ) -> tuple[tuple[str, ...], list[int], tuple[str, ...]]:
-    named = sheet.joints is not None or all(role.joint for role in position.roles)
+    named = sheet.joints is not None or all(role.joint for role in position)
     if named and len(labels) > 1:
         following = {joint.name for joint in model.followers}
         own = [k for k, label in enumerate(labels) if label not in following]
@@ -583,8 +562,8 @@ def _order_for(
             names = ", ".join(joint.name for joint in model.followers)
             more += f"; joints that follow others have no column: {names}"
         raise RecordingError(
-            f"{source} has {len(labels)} position columns ({position.names[0]} ..."
-            f" {position.names[-1]}) but {model.name} has {model.n_joints} joints"
+            f"{source} has {len(labels)} position columns ({position[0].column} ..."
+            f" {position[-1].column}) but {model.name} has {model.n_joints} joints"
             f" ({', '.join(model.joint_names)})",
             cure=Cure(
                 "choose the robot that was recorded, or give the columns of its joints in a"
@@ -622,11 +601,11 @@ def _scales(
     for quantity, group in chosen.items():
         of_position = quantity in ENCODERS.values()
         unit = getattr(sheet.units, "position" if of_position else quantity, None)
-        if quantity == "command" and unit is None and not any(role.unit for role in group.roles):
+        if quantity == "command" and unit is None and not any(role.unit for role in group):
             unit = sheet.units.position
-        for name, role in zip(group.names, group.roles, strict=True):
-            scales[name] = role.scale if unit is None else unit_scale(unit) or 1.0
-        units = {role.unit for role in group.roles if role.scale != 1.0}
+        for role in group:
+            scales[role.column] = role.scale if unit is None else unit_scale(unit) or 1.0
+        units = {role.unit for role in group if role.scale != 1.0}
         if unit is None and units:
             notes.append(f"{quantity} columns were converted from {', '.join(sorted(units))}")
     return scales
@@ -641,13 +620,12 @@ def _time_column(
 ) -> tuple[str | None, float]:
     unit = unit_scale(sheet.units.time) if sheet.units.time else None
     if sheet.columns.time is not None:
-        name = _column(source, names, order, "time", sheet.columns.time)
-        return name, unit or 1.0
+        return _column(source, names, order, "time", sheet.columns.time), unit or 1.0
     group = groups.get(("time", ""))
     if group is None:
         return None, 1.0
-    picks = [k for k, role in enumerate(group.roles) if not role.joint]
+    picks = [role for role in group if not role.joint]
     if not picks:
         return None, 1.0
-    pick = next((k for k in picks if nanoseconds_beside(group.names[k], names)), picks[0])
-    return group.names[pick], unit or group.roles[pick].scale
+    pick = next((role for role in picks if nanoseconds_beside(role.column, names)), picks[0])
+    return pick.column, unit or pick.scale

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from asbuilt.description.joint_matching import WORD, words_of
@@ -227,7 +227,7 @@ class Role:
 
     `joint` is the name of the joint ("" if it only counts), `index` its last number, `scale` the
     factor to SI, `kind` one of "", "external", "motor", "sensor" or, if the unit has no factor,
-    "unscaled".
+    "unscaled". `column` is the whole name, of columns in a layout.
     """
 
     quantity: Quantity
@@ -236,6 +236,7 @@ class Role:
     kind: str = ""
     scale: float = 1.0
     unit: str = ""
+    column: str = field(default="", repr=False)
 
 
 def unit_scale(unit: str) -> float | None:
@@ -246,8 +247,7 @@ def unit_scale(unit: str) -> float | None:
     >>> unit_scale("mNm"), unit_scale("rad/s"), unit_scale("furlong")
     (0.001, 1.0, None)
     """
-    numerator = unit.strip().split("/")[0].strip()
-    return _UNITS.get(numerator.lower())
+    return _UNITS.get(unit.strip().split("/")[0].strip().lower())
 
 
 def recognise(name: str) -> Role | None:
@@ -265,7 +265,7 @@ def recognise(name: str) -> Role | None:
         return None
     for start, meant in _RSI.items():
         name = meant + name.removeprefix(start) if name.startswith(start) else name
-    bare, index, unit = _without_brackets(name.replace("τ", "tau").replace("θ", "theta"))
+    bare, index, unit, _ = _with_unit(name.replace("τ", "tau").replace("θ", "theta"))
     spans = [(m.group().lower(), m.start(), m.end()) for m in WORD.finditer(bare)]
     words = [word for word, _, _ in spans]
     quantity, used = _quantity(words)
@@ -273,7 +273,7 @@ def recognise(name: str) -> Role | None:
         return None
     if quantity == "time" and set(words) & _NO_CLOCK:
         return None
-    unscaled = _unit_without_factor(name, words)
+    unscaled = "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
     unit = unscaled or ("ms" if "ipoc" in words else unit)
     rest = [k for k in range(len(words)) if k not in used and words[k] != unscaled]
     scale = unit_scale(unit) if unit else None
@@ -455,11 +455,6 @@ def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:
     return None, "_".join(words)
 
 
-def _without_brackets(name: str) -> tuple[str, int | None, str]:
-    """Split "position[3] (deg)" into the bare name, the index and the unit."""
-    return _with_unit(name)[:3]
-
-
 def _with_unit(name: str) -> tuple[str, int | None, str, int]:
     """Split "speed[3] (deg/s)" into the bare name, the index, the unit and its order in time."""
     index: int | None = None
@@ -484,11 +479,6 @@ def _with_unit(name: str) -> tuple[str, int | None, str, int]:
 def _order(per: str) -> int:
     """Return how often a unit is per second, from what follows its stroke."""
     return 0 if not per else 2 if per.strip()[-1] in "2²" else 1
-
-
-def _unit_without_factor(name: str, words: list[str]) -> str:
-    """Return the unit in a name that has no factor to SI, "" if there is none."""
-    return "%" if "%" in name else next((word for word in words if word in _NO_FACTOR), "")
 
 
 def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
@@ -516,9 +506,7 @@ def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
         return "time", [words.index("stamp")]
     for k, word in enumerate(words):
         if word in _SYMBOLS and (
-            word not in {"t", "i"}
-            or len(words) == 1
-            or (k + 1 < len(words) and words[k + 1].isdigit())
+            word not in {"t", "i"} or len(words) == 1 or _follows_number(words, k)
         ):
             return _SYMBOLS[word], [k]
     return None, []

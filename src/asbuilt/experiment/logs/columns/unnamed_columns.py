@@ -14,6 +14,7 @@ from asbuilt.experiment.gravity_load import (
     CLEARLY_BETTER,
     DEGREE,
     LARGEST_RADIANS,
+    correlations,
     load_matches,
 )
 from asbuilt.experiment.logs.columns.roles import unit_scale
@@ -109,23 +110,20 @@ def suggest_sheet(
     if velocity is not None:
         units |= _velocity_unit(t, groups[position], groups[velocity], degrees)
     if units:
-        listed = ", ".join(f'{name} = "{unit}"' for name, unit in units.items())
-        head.append(f"units = {{ {listed} }}")
-    lines = [*head, "[columns]"]
-    if time is not None:
-        lines.append(f"time = {places[time]}")
-    lines.append(f"position = {spans[position]}")
-    if velocity is not None:
-        lines.append(f"velocity = {spans[velocity]}")
-    if pair is not None:
-        lines.append(f"command = {spans[pair[1]]}")
-    if torques:
-        also = ", ".join(spans[k] for k in torques[1:])
-        lines.append(f"torque = {spans[torques[0]]}{f'  # or {also}' if also else ''}")
+        stated = ", ".join(f'{name} = "{unit}"' for name, unit in units.items())
+        head.append(f"units = {{ {stated} }}")
+    also = ", ".join(spans[k] for k in torques[1:])
+    entries = {
+        "time": None if time is None else places[time],
+        "position": spans[position],
+        "velocity": None if velocity is None else spans[velocity],
+        "command": None if pair is None else spans[pair[1]],
+        "torque": spans[torques[0]] + (f"  # or {also}" if also else "") if torques else None,
+    }
+    listed = [f"{name} = {value}" for name, value in entries.items() if value is not None]
     over = len(rest) - n_joints * len(groups)
-    if over:
-        lines.append(f"# {over} more columns follow")
-    return "\n".join(lines)
+    further = [f"# {over} more columns follow"] if over else []
+    return "\n".join([*head, "[columns]", *listed, *further])
 
 
 def _time_and_others(values: Sequence[Array]) -> tuple[int | None, list[int]]:
@@ -214,7 +212,8 @@ def _roles(
 
     And whether the positions are degrees. `known` is the group of positions, if that is known.
     """
-    position, velocity = _position_and_velocity(t, groups, known)
+    pair = _derivative_pair(t, groups, known)
+    position, velocity = pair if pair is not None else (known or 0, None)
     if model is None:
         rest = [k for k in range(len(groups)) if k not in (position, velocity)]
         return position, velocity, rest, bool(_largest(groups[position]) > LARGEST_RADIANS)
@@ -279,14 +278,6 @@ def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
     return next((float(f"{rate:.3g}") for rate in rates if low <= rate <= high), None)
 
 
-def _position_and_velocity(
-    t: Array, groups: list[Array], known: int | None
-) -> tuple[int, int | None]:
-    """Return the groups of which the second follows the derivative of the first, or the first."""
-    pair = _derivative_pair(t, groups, known)
-    return pair if pair is not None else (known or 0, None)
-
-
 def _derivative_pair(t: Array, groups: list[Array], known: int | None) -> tuple[int, int] | None:
     """Return the groups of which the second follows the derivative of the first, if any."""
     best, pair = 0.8, None
@@ -301,12 +292,7 @@ def _derivative_match(t: Array, q: Array, qd: Array) -> float:
     """Return the median correlation of the columns of qd with the derivative of q."""
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.gradient(q, axis=0) / np.gradient(t)[:, None]
-    matches = []
-    for a, b in zip(slope.T, qd.T, strict=True):
-        ok = np.isfinite(a) & np.isfinite(b)
-        if ok.sum() > 10 and np.std(a[ok]) > 0 and np.std(b[ok]) > 0:
-            matches.append(float(np.corrcoef(a[ok], b[ok])[0, 1]))
-    return float(np.median(matches)) if matches else 0.0
+    return float(np.median(correlations(slope, qd)))
 
 
 def _joints_by_derivative(values: list[Array], t: Array | None) -> int | None:

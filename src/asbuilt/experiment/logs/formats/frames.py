@@ -32,8 +32,7 @@ def table_of_columns(item: Any) -> LogTable:
         arrays = {str(name): np.asarray(values) for name, values in item.items()}
         return table_from_variables("dict of arrays", arrays)
     frame = item
-    index = getattr(item, "index", None)
-    if getattr(index, "name", None) is not None:
+    if getattr(getattr(item, "index", None), "name", None) is not None:
         frame = item.reset_index()
     found = {str(name): np.asarray(frame[name].to_numpy()) for name in frame.columns}
     columns = {
@@ -91,8 +90,7 @@ def seconds_of_text(series: pl.Series) -> Array | None:
 def _numbers(values: Array) -> Array | None:
     """Return a column as floats, time stamps in seconds; None if it does not hold numbers."""
     if values.dtype.kind in "mM":
-        nanoseconds = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
-        return nanoseconds.astype(np.float64) / 1e9
+        return values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64).astype(np.float64) / 1e9
     if values.dtype.kind not in "biuf":
         return None
     return values.astype(np.float64)

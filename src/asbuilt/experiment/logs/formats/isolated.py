@@ -83,8 +83,7 @@ def read_isolated(read: Callable[..., LogTable], path: Path, **settings: str | N
     MissingExtraError
         As `read` does.
     """
-    size = _size(path)
-    answer, arrays = _call(read, path, size, settings)
+    answer, arrays = _call(read, path, _size(path), settings)
     if "error" in answer:
         raise _error(answer["error"], path)
     table = answer["table"]

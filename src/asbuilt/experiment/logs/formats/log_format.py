@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, refuse
 from asbuilt.findings import Cure
 from asbuilt.registry import Registry
 
@@ -130,14 +130,19 @@ def log_format(path: Path) -> LogFormat:
         found = _folder_format(path)
     else:
         found = next((each for each in FORMATS.values() if suffix in each.suffixes), None)
-    if not path.is_dir() and not path.is_file():
-        raise RecordingError(
+    refuse(
+        RecordingError,
+        (
+            not path.is_dir() and not path.is_file(),
             f"{path} is not a recording: it is not a regular file",
-            cure=Cure("save what it yields as a file"),
-            file=str(path),
-        )
-    if path.is_file() and path.stat().st_size == 0:
-        raise RecordingError(f"{path} is not a recording: it is empty", file=str(path))
+            {"cure": Cure("save what it yields as a file"), "file": str(path)},
+        ),
+        (
+            path.is_file() and path.stat().st_size == 0,
+            f"{path} is not a recording: it is empty",
+            {"file": str(path)},
+        ),
+    )
     if found is None:
         known = sorted(suffix for each in FORMATS.values() for suffix in each.suffixes)
         raise RecordingError(
@@ -155,6 +160,24 @@ def _folder_format(path: Path) -> LogFormat | None:
     of_folders = [each for each in FORMATS.values() if each.folders]
     certain = (each for each in of_folders if each.recognises and each.recognises(path))
     return next(certain, next((each for each in of_folders if each.recognises is None), None))
+
+
+def table_of_joints(
+    source: str,
+    t: Array,
+    groups: Iterable[tuple[str, str, Sequence[str], Array]],
+    notes: Sequence[str] = (),
+) -> LogTable:
+    """Return a table of times [s] and of matrices (N, n) with the names of their joints.
+
+    A group has a label, by which its columns are `joint/label`, a quantity, joints and values.
+    """
+    columns, known = {"time": t}, dict[str, tuple[str, str]]()
+    for label, quantity, joints, values in groups:
+        for joint, column in zip(joints, values.T, strict=True):
+            columns[f"{joint}/{label}"] = np.ascontiguousarray(column)
+            known[f"{joint}/{label}"] = (quantity, joint)
+    return LogTable(source=source, columns=columns, known=known, notes=tuple(notes))
 
 
 def table_from_variables(source: str, variables: Mapping[str, Array]) -> LogTable:

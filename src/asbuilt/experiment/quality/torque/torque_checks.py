@@ -9,13 +9,11 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.quality.first_pass import FirstPass
-from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
-from asbuilt.experiment.quality.torque.gravity_direction import gravity_finding
-from asbuilt.experiment.quality.torque.joint_convention import convention_finding
+from asbuilt.experiment.quality.passes import FirstPass
+from asbuilt.experiment.quality.reductions import SmoothedMotion
+from asbuilt.experiment.quality.torque.conventions import convention_finding, gravity_finding
 from asbuilt.experiment.quality.torque.stand_in import scale_without_masses
-from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment
-from asbuilt.experiment.quality.torque.torque_order import swapped_torques
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment, swapped_torques
 from asbuilt.experiment.recording import FLIPPED, FLIPPED_TWICE
 from asbuilt.findings import Cure, Finding, Severity, joined
 
@@ -73,7 +71,7 @@ def torque_findings(
             "no_torque",
             "error",
             "the torques are constant: that of the first joint is"
-            f" {recording.first_torque[0]:.4g} in {recording.n_samples} samples",
+            f" {recording.first.tau[0, 0]:.4g} in {recording.n_samples} samples",
             Cure("log the measured joint torques or motor currents"),
         )
         return
@@ -224,7 +222,7 @@ def _sign_and_scale(
             "error",
             "the torque sign looks flipped: the measured torque decreases where the model's"
             f" increases ({evidence})",
-            _signs_cure(model, sign, alone) if alone else _flip_cure(recording.notes),
+            _signs_cure(model, sign, alone) if alone else _flip_cure(recording.first.notes),
         )
     unclear = ~np.isin(np.arange(model.n_joints), clear)
     friction = sign * fit.friction_correlation if unclear.any() else np.zeros(model.n_joints)
@@ -242,8 +240,15 @@ def _sign_and_scale(
     for k in doubtful:
         yield _drives_its_motion(model, k, float(friction[k]), sign, [*alone, *doubtful])
     low, high = THRESHOLDS.plausible
-    if recording.stiffness_unknown:
-        yield _stiffness(model, scale)
+    servo = recording.first.servo
+    if servo is not None and np.any(np.isnan(servo.kp)):
+        yield Finding(
+            "servo_stiffness",
+            "info",
+            f"the stiffness of the position servo is not stated; the masses of {model.name} give"
+            f" about {1.0 / scale:.2g} N m/rad",
+            Cure("give the stiffness if it is known; else it is identified, with its error"),
+        )
         return
     if not low < scale < high:
         yield _scale_finding(model, recording, scale, evidence)
@@ -317,25 +322,14 @@ def _flipped_joint(
     return Finding("joint_torque_flipped", severity, message, cure, joint=model.joint_names[k])
 
 
-def _stiffness(model: RobotModel, scale: float) -> Finding:
-    """Return what the masses of the description say of an unknown stiffness."""
-    return Finding(
-        "servo_stiffness",
-        "info",
-        f"the stiffness of the position servo is not stated; the masses of {model.name} give about"
-        f" {1.0 / scale:.2g} N m/rad",
-        Cure("give the stiffness if it is known; else it is identified, with its error"),
-    )
-
-
 def _scale_finding(model: RobotModel, recording: FirstPass, scale: float, evidence: str) -> Finding:
-    if recording.torque_source == "command":
+    if recording.first.torque_source == "command":
         guess = "the stiffness of the servo differs"
         cure = Cure("check it, or leave it out, so that it is identified")
     elif 300 < scale < 3000:
         guess = "they look like mN m"
         cure = Cure('write units = { torque = "mN m" } in a recording sheet')
-    elif scale < 0.3 and (scale > 0.005 or recording.torque_source == "current"):
+    elif scale < 0.3 and (scale > 0.005 or recording.first.torque_source == "current"):
         guess = "they look like motor currents without gains"
         cure = Cure(
             "give the gains in N m/A, one per joint, here or as gains = [...] in a recording sheet;"

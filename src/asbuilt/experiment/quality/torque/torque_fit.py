@@ -1,4 +1,4 @@
-"""Comparison of measured torques with the model's, for one assignment of columns to joints."""
+"""Comparison of measured torques with the model's, and the order of columns that fits best."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import spring_columns
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.reductions import SmoothedMotion
 
 T = TypeVar("T")
 
@@ -131,16 +131,14 @@ class TorqueFit:
     @property
     def predicted(self) -> Array:
         """Standard deviation of the predicted torque of each joint [N m], shape (n,)."""
-        deviation: Array = np.std(self._residuals[0], axis=0)
-        return deviation
+        return np.asarray(np.std(self._residuals[0], axis=0))
 
     @property
     def decides(self) -> Mask:
         """Which joints have enough predicted torque to decide anything, shape (n,)."""
         predicted = self.predicted
         # Predicted torque, relative to the largest, below which a joint decides nothing.
-        enough: Mask = predicted > 0.02 * np.max(predicted)
-        return enough
+        return np.asarray(predicted > 0.02 * np.max(predicted))
 
     @property
     def gravity(self) -> Array:
@@ -148,30 +146,26 @@ class TorqueFit:
         q = self.q[:, list(self.motion_of)]
         still = np.zeros_like(q)
         torque = inverse_dynamics(self.model, q, still, still, threads=1)
-        deviation: Array = np.std(self.without_friction(torque), axis=0)
-        return deviation
+        return np.asarray(np.std(self.without_friction(torque), axis=0))
 
     @property
     def measured(self) -> Array:
         """Standard deviation of the measured torque of each joint [N m], shape (n,)."""
-        deviation: Array = np.std(self._residuals[1], axis=0)
-        return deviation
+        return np.asarray(np.std(self._residuals[1], axis=0))
 
     @property
     def correlation(self) -> Array:
         """Correlation of measured with predicted torque, joint by joint, shape (n,)."""
         x, y = self._residuals
         norms = np.linalg.norm(x, axis=0) * np.linalg.norm(y, axis=0)
-        dots: Array = np.sum(x * y, axis=0)
-        return np.asarray(dots / np.where(norms > 0, norms, 1.0))
+        return np.asarray(np.sum(x * y, axis=0) / np.where(norms > 0, norms, 1.0))
 
     @property
     def gain(self) -> Array:
         """Least-squares factor from predicted to measured torque, joint by joint, shape (n,)."""
         x, y = self._residuals
         energy = np.sum(x**2, axis=0)
-        factor: Array = np.sum(x * y, axis=0) / np.where(energy > 0, energy, 1.0)
-        return factor
+        return np.asarray(np.sum(x * y, axis=0) / np.where(energy > 0, energy, 1.0))
 
     @property
     def friction_correlation(self) -> Array:
@@ -206,8 +200,7 @@ class TorqueFit:
         """Return `|y_k - sign x_k|^2 / (|y_k|^2 + |x_k|^2)` of each joint, shape (n,)."""
         x, y = self._residuals
         scale = np.sum(x**2, axis=0) + np.sum(y**2, axis=0)
-        share: Array = np.sum((y - sign * x) ** 2, axis=0) / np.where(scale > 0, scale, 1.0)
-        return share
+        return np.asarray(np.sum((y - sign * x) ** 2, axis=0) / np.where(scale > 0, scale, 1.0))
 
     @property
     def cost(self) -> float:
@@ -216,8 +209,7 @@ class TorqueFit:
 
     def changes(self) -> Iterator[TorqueFit]:
         """Yield the fits with two joints swapped: their torques, their motions, or both."""
-        pairs = zip(swaps(self.torque_of), swaps(self.motion_of), strict=True)
-        for torque_of, motion_of in pairs:
+        for torque_of, motion_of in zip(swaps(self.torque_of), swaps(self.motion_of), strict=True):
             yield replace(self, torque_of=torque_of)
             if self.model.n_joints <= THRESHOLDS.most_joints:
                 yield replace(self, torque_of=torque_of, motion_of=motion_of)
@@ -256,3 +248,119 @@ def best_assignment(fit: TorqueFit) -> TorqueFit:
             break
         best = change
     return best
+
+
+@dataclass(frozen=True, slots=True)
+class SwapThresholds:
+    """Decide from the sum over joints of the logarithm of the unexplained variance."""
+
+    fall: float = 4.0
+    """Fall of the sum from which a swap is decisive: both shares fall to an eighth."""
+    floor: float = 1e-3
+    """Unexplained share below which a better fit does not count."""
+    each: float = 0.5
+    """Largest unexplained share of each of the two torques, relative to that as logged: a torque
+    that is constant, or noise alone, is explained no better at another joint."""
+    rows_per_parameter: int = 3
+    """Torques per parameter below which any order is explained."""
+    singular: float = 1e-10
+    """Relative eigenvalue of the scaled normal equations of a direction that is not excited."""
+
+
+SWAP = SwapThresholds()
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueSwap:
+    """Hold two joints (from 0) whose torques are swapped, and their mean unexplained variance.
+
+    Both shares are fractions of the torque's variance, in the order logged and after swapping.
+    """
+
+    joints: tuple[int, int]
+    as_logged: float
+    swapped: float
+
+
+def swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
+    """Return the swap of two torques that base parameters and friction explain decisively better.
+
+    Each order has its own least-squares fit of base parameters, viscous and Coulomb friction and
+    offsets, torques scaled to unit variance. CAD values are not used, so the wrists of an arm,
+    where friction exceeds the rigid-body torque, are checked too.
+    """
+    n, samples = fit.model.n_joints, len(fit.q)
+    base = find_base_parameters(fit.model, DriveSet.parse("viscous,offset"))
+    p = base.n_base + n
+    if samples * n < SWAP.rows_per_parameter * p:
+        return None
+    pick, torque = list(fit.motion_of), fit.tau[:, list(fit.torque_of)]
+    q, qd, qdd = (values[:, pick] for values in (fit.q, fit.qd, fit.qdd))
+    W = np.zeros((samples, n, p))
+    W[:, :, : base.n_base] = observation_matrix(
+        fit.model, q, qd, qdd, drive=base.drive, columns=base.columns
+    ).reshape(samples, n, -1)
+    W[:, range(n), range(base.n_base, p)] = np.tanh(qd / BREAKAWAY)
+    y = torque - torque.mean(axis=0)
+    spread = y.std(axis=0)
+    spread = np.where(spread > 0.0, spread, 1.0)
+    y = y / spread
+    normal = _NormalEquations(
+        W.transpose(1, 2, 0) @ W.transpose(1, 0, 2),
+        y.T @ W.transpose(1, 0, 2),
+        np.mean(y**2, axis=0),
+        spread,
+        samples,
+    )
+    logged = tuple(range(n))
+    found = decisive_change(
+        logged,
+        swaps(logged),
+        normal.cost,
+        SWAP.fall,
+    )
+    if found is None:
+        return None
+    i, j = (k for k in range(n) if found[k] != k)
+    before, after = (normal.unexplained(order)[[i, j]].mean() for order in (logged, found))
+    return TorqueSwap((i, j), float(before), float(after))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _NormalEquations:
+    """The normal equations of each joint's rows with each joint's torque.
+
+    `grams` (n, p, p), `sides` (n, n, p) for torques of unit variance, `power` and `spread` (n,) of
+    the torques, scaled and as logged.
+    """
+
+    grams: Array
+    sides: Array
+    power: Array
+    spread: Array
+    samples: int
+
+    def cost(self, torque_of: tuple[int, ...]) -> float:
+        """Return the sum of logarithms of the unexplained shares, if each torque moved gains."""
+        logged = self.unexplained(tuple(range(len(torque_of)))) + SWAP.floor
+        shares = self.unexplained(torque_of) + SWAP.floor
+        moved = [(k, j) for k, j in enumerate(torque_of) if k != j]
+        if any(self.power[j] == 0.0 or shares[k] > SWAP.each * logged[j] for k, j in moved):
+            return np.inf
+        return float(np.sum(np.log(shares)))
+
+    def unexplained(self, torque_of: tuple[int, ...]) -> Array:
+        """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
+        order = list(torque_of)
+        scale = 1.0 / self.spread[order]
+        side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
+        gram = np.tensordot(scale**2, self.grams, axes=1)
+        size = np.sqrt(np.diag(gram))
+        size = np.where(size > 0.0, size, 1.0)
+        eigenvalues, axes = np.linalg.eigh(gram / np.outer(size, size))
+        excited = eigenvalues > SWAP.singular * eigenvalues[-1]
+        axes = axes[:, excited] / size[:, None]
+        beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited])
+        explained = scale**2 * (self.grams @ beta @ beta)
+        residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
+        return np.asarray(np.maximum(residual, 0.0))

@@ -1,24 +1,96 @@
-"""Columns in which a robot may change: base parameters, torque gains and base tilts."""
+"""Inner products of a robot's logs day by day, and the columns in which it may change."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
-from asbuilt.workflow.fleet.drift.days import Day
-
-if TYPE_CHECKING:
-    from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.ledger.entry import Entry
+from asbuilt.workflow.fleet.ledger.settings import TypeSettings
 
 TILTS = 2
 UNDETERMINED = 1e-9
 """Weight, in the mean information of a column, of what keeps an undetermined direction."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Day:
+    """Hold the information of the logs of a day.
+
+    Parameters
+    ----------
+    date, last
+        When the first and the last log began.
+    n_logs, n_samples
+        Number of logs and of samples.
+    grams
+        `X_k^T X_k` of each joint k, X_k its columns of base parameters, the torque, and the torques
+        of two base tilts where the ledger has them, (p_k + 1, p_k + 1) or (p_k + 3, p_k + 3).
+    covariates
+        Means of temperatures that were logged.
+    """
+
+    date: datetime
+    last: datetime
+    n_logs: int
+    n_samples: int
+    grams: tuple[Array, ...]
+    covariates: Mapping[str, float]
+
+
+def day_of(entry: Entry) -> Day:
+    """Return a log as a day of its own."""
+    grams = []
+    for k, factors in enumerate(entry.whole.factors):
+        R = factors[0]
+        gram = R.T @ R
+        if entry.tilt:
+            q, products = len(gram), entry.tilt[k]
+            wider = np.empty((q + 2, q + 2))
+            wider[:q, :q] = gram
+            wider[:, q:] = products
+            wider[q:, :q] = products[:q].T
+            gram = wider
+        grams.append(gram)
+    means = {
+        name: float(np.nanmean(values))
+        for name, values in entry.covariates.items()
+        if np.isfinite(values).any()
+    }
+    return Day(entry.date, entry.date, 1, entry.whole.n_samples, tuple(grams), means)
+
+
+def by_day(logs: Iterable[Day]) -> tuple[Day, ...]:
+    """Merge the logs of each day (UTC), in order of time."""
+    groups: dict[str, list[Day]] = {}
+    for each in sorted(logs, key=lambda day: day.date):
+        groups.setdefault(f"{each.date.astimezone(UTC):%Y-%m-%d}", []).append(each)
+    return tuple(_together(group) for group in groups.values())
+
+
+def _together(group: Sequence[Day]) -> Day:
+    if len(group) == 1:
+        return group[0]
+    names = set.intersection(*(set(day.covariates) for day in group))
+    total = sum(day.n_samples for day in group)
+    means = {
+        name: sum(day.covariates[name] * day.n_samples for day in group) / total for name in names
+    }
+    return Day(
+        group[0].date,
+        group[-1].last,
+        sum(day.n_logs for day in group),
+        total,
+        summed(group),
+        means,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +164,7 @@ class FleetColumns:
         basis: Array | None = None,
     ) -> Array:
         """Return the Gram matrix of all joints' weighted columns (times `basis`) and the error."""
-        wider = None if basis is None else _with_error(basis)
+        wider = None if basis is None else block_diag(basis, np.eye(1))
         size = self.size + 1 if wider is None else wider.shape[1]
         total = np.zeros((size, size))
         for k, gram in enumerate(grams):
@@ -130,13 +202,6 @@ class FleetColumns:
     def residual_energy(self, grams: Sequence[Array], beta: Array) -> Array:
         """Return `|tau_k - W_k beta|^2` of every joint, (n,)."""
         return self.energies(grams, np.append(np.zeros(self.size), 1.0), beta)
-
-
-def _with_error(basis: Array) -> Array:
-    wider = np.zeros((basis.shape[0] + 1, basis.shape[1] + 1))
-    wider[:-1, :-1] = basis
-    wider[-1, -1] = 1.0
-    return wider
 
 
 def summed(days: Sequence[Day]) -> tuple[Array, ...]:

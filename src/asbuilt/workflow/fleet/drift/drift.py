@@ -18,8 +18,7 @@ from asbuilt.findings import Finding, ranked
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.validation.comparison.significance import benjamini_hochberg
 from asbuilt.workflow.fleet.drift.change_points import SCAN, scan
-from asbuilt.workflow.fleet.drift.columns import FleetColumns
-from asbuilt.workflow.fleet.drift.days import Day, by_day, day_of
+from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, by_day, day_of
 from asbuilt.workflow.fleet.drift.directions import Directions, find_directions
 from asbuilt.workflow.fleet.drift.explanation import explain_change
 from asbuilt.workflow.fleet.drift.variation import History, Variation, estimate_variation
@@ -233,25 +232,24 @@ def type_drift(
             days = examples[robot_id] if robot_id in examples else read(robot_id)
             if days:
                 histories[robot_id] = _history(directions, days, names)
-                dates[robot_id] = tuple(_bare(day) for day in days)
+                dates[robot_id] = tuple(replace(day, grams=(), covariates={}) for day in days)
             if tick is not None:
                 tick(robot_id)
         variation = estimate_variation(list(histories.values()))
-        rows = []
-        for robot_id, inflation in zip(histories, variation.inflations, strict=True):
-            rows.append(
-                _robot_drift(
-                    robot_id,
-                    robot_type,
-                    directions,
-                    variation,
-                    float(inflation),
-                    histories[robot_id],
-                    dates[robot_id],
-                    since,
-                    read,
-                )
+        rows = [
+            _robot_drift(
+                robot_id,
+                robot_type,
+                directions,
+                variation,
+                float(inflation),
+                histories[robot_id],
+                dates[robot_id],
+                since,
+                read,
             )
+            for robot_id, inflation in zip(histories, variation.inflations, strict=True)
+        ]
     n_days = sum(each.n_days for each in histories.values())
     return rows, TypeVariation(
         robot_type,
@@ -284,27 +282,29 @@ def conclude_drift(
     decided = [_decided(each, rate_of.get(each.id), level) for each in robots]
     decided.sort(key=lambda each: (not each.changed, each.false_discovery or 1.0, each.id))
     few = [each.id for each in robots if each.p_value is None]
-    said = list(findings)
-    if few:
-        shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
-        said.append(
+    shown = ", ".join(few[:5]) + (" ..." if len(few) > 5 else "")
+    without = [each.robot_type for each in types if 0 < each.n_days - each.n_robots < 20]
+    possible = (
+        (
+            few,
             Finding(
                 "drift_too_few_days",
                 "info",
                 f"{len(few)} robots have logs of too few days to look for changes ({shown});"
                 f" {SCAN.before} before and {SCAN.after} after are needed",
-            )
-        )
-    without = [each.robot_type for each in types if 0 < each.n_days - each.n_robots < 20]
-    if without:
-        said.append(
+            ),
+        ),
+        (
+            without,
             Finding(
                 "drift_variation_uncertain",
                 "warning",
-                f"the natural variation of {without[0]} comes from few days; changes that are not"
-                " large are not found",
-            )
-        )
+                f"the natural variation of {''.join(without[:1])} comes from few days; changes that"
+                " are not large are not found",
+            ),
+        ),
+    )
+    said = [*findings, *(finding for holds, finding in possible if holds)]
     return FleetDrift(
         ledger,
         None if since is None else since.isoformat(),
@@ -327,11 +327,6 @@ def _history(directions: Directions, days: Sequence[Day], names: Sequence[str]) 
         [[day.covariates.get(name, np.nan) for name in names] for day in days]
     ).reshape(len(days), len(names))
     return History(J, s, covariates)
-
-
-def _bare(day: Day) -> Day:
-    """Return a day without its inner products."""
-    return Day(day.date, day.last, day.n_logs, day.n_samples, (), {})
 
 
 def _robot_drift(

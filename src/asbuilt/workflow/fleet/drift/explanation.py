@@ -15,10 +15,8 @@ from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.groups import LINKS, group_title
 from asbuilt.identification.effects.selection import RULES, worth_of
 from asbuilt.tables import plus_minus, significant
-from asbuilt.workflow.fleet.drift.columns import FleetColumns, summed
-from asbuilt.workflow.fleet.drift.days import Day
-from asbuilt.workflow.fleet.drift.directions import Directions
-from asbuilt.workflow.fleet.drift.sources import Source, sources_of
+from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, summed
+from asbuilt.workflow.fleet.drift.directions import Directions, Source, sources_of
 from asbuilt.workflow.fleet.drift.variation import Variation
 
 

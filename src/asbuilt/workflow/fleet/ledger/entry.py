@@ -26,7 +26,6 @@ from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import SquareRootInformation
-from asbuilt.workflow.fleet.ledger.identities import folder_of
 from asbuilt.workflow.fleet.ledger.merging import merged_blocks
 from asbuilt.workflow.fleet.ledger.settings import (
     FORMAT_VERSION,
@@ -34,7 +33,7 @@ from asbuilt.workflow.fleet.ledger.settings import (
     TypeSettings,
     check_version,
 )
-from asbuilt.workflow.fleet.ledger.unpacking import unpacked
+from asbuilt.workflow.fleet.ledger.store import folder_of, unpacked
 
 DIGITS = 16
 """Hexadecimal digits of a hash in the name of a file."""

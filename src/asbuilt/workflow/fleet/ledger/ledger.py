@@ -11,15 +11,9 @@ from asbuilt.codec import json_text
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.findings import Cure, Finding
 from asbuilt.untrusted import parsed_json
-from asbuilt.workflow.fleet.ledger.entry import (
-    Entry,
-    EntryName,
-    content_digest,
-    entry_from,
-)
-from asbuilt.workflow.fleet.ledger.identities import folder_of, is_folder, robot_of
+from asbuilt.workflow.fleet.ledger.entry import Entry, EntryName, content_digest, entry_from
 from asbuilt.workflow.fleet.ledger.settings import FORMAT_VERSION, TypeSettings, check_version
-from asbuilt.workflow.fleet.ledger.store import Store, open_store
+from asbuilt.workflow.fleet.ledger.store import Store, folder_of, is_folder, open_store, robot_of
 
 FORMAT = "asbuilt fleet ledger"
 MARK = "ledger.json"

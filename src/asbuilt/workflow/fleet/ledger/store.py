@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import io
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
+from urllib.parse import quote, unquote
+
+import numpy as np
+import polars as pl
 
 from asbuilt.errors import MissingExtraError, ResultError, UsageError
+from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.findings import Cure
 from asbuilt.untrusted import read_bytes, reason, shown_path
 from asbuilt.writing import atomic_write
+
+LONGEST = 60
+"""Characters of an identity."""
+LONGEST_PATTERN = 250
+"""Characters of a pattern that finds identities in paths."""
+
 
 EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gcs", "gcs": "gcs", "az": "azure", "abfs": "azure"}
 """Extra that has the file system of a protocol."""
@@ -16,6 +29,79 @@ READABLE = 0o644
 """Mode of a file: what is in a ledger never changes."""
 LARGEST = 50_000_000
 """Bytes of a file, packed or not; an entry of 30 joints has 4 MB, and 6 MB unpacked."""
+
+
+def checked_id(robot_id: str) -> str:
+    """Return the identity of a robot.
+
+    Raises `UsageError` unless it is one line of 1 to 60 printable characters whose folder can be
+    made; letters of other scripts take up to nine bytes of its name.
+    """
+    folder = quote(robot_id, safe=" ", errors="replace")
+    if not (robot_id.strip() and robot_id.isprintable() and len(robot_id) <= LONGEST):
+        raise UsageError(
+            f"the identity of a robot has 1 to {LONGEST} printable characters, got"
+            f" {robot_id[: LONGEST + 1]!r}",
+            cure=Cure("give a short name or a serial number"),
+        )
+    # Bytes of a folder's name that every file system takes.
+    if len(folder) > 250:
+        raise UsageError(f"the identity {robot_id!r} is too long for the name of a folder")
+    return robot_id
+
+
+def folder_of(robot_id: str) -> str:
+    """Return the folder of a robot's entries; raises as `checked_id` does."""
+    return "logs/" + quote(checked_id(robot_id), safe=" ").replace(".", "%2E")
+
+
+def robot_of(folder: str) -> str:
+    """Return the robot of a folder of entries."""
+    return unquote(folder)
+
+
+def is_folder(name: str) -> bool:
+    """Return whether this is the name of a robot's folder."""
+    try:
+        return folder_of(robot_of(name)) == f"logs/{name}"
+    except UsageError:
+        return False
+
+
+def identity_in(pattern: str, path: str) -> str | None:
+    """Return what stands at `{id}` where a pattern matches the end of a path; None if it does not.
+
+    A `*` takes as much of a name as it can, `{id}` as little, and both stay within one name. Every
+    pair of a place in the pattern and one in the path is tried once, so that the time is bounded
+    by the product of the lengths, which backtracking is not.
+
+    >>> identity_in("*_{id}.csv", "logs/run_1_arm.csv")
+    'arm'
+    """
+    before, _, after = pattern.partition("{id}")
+    parts = [*before, "first", "rest", *after]
+    starts = [0, *(k + 1 for k, letter in enumerate(path) if letter == "/")]
+    waiting, tried = [(0, k, 0, 0) for k in reversed(starts)], set()
+    while waiting:
+        place, at, first, last = waiting.pop()
+        if (place, at) in tried:
+            continue
+        tried.add((place, at))
+        if place == len(parts):
+            if at == len(path):
+                return path[first:last]
+            continue
+        part, letter = parts[place], path[at : at + 1]
+        inside = letter not in ("", "/")
+        if part == "first":
+            waiting += [(place + 1, at + 1, at, at)] * inside
+        elif part == "rest":
+            waiting += [(place, at + 1, first, last)] * inside + [(place + 1, at, first, at)]
+        elif part == "*":
+            waiting += [(place + 1, at, first, last)] + [(place, at + 1, first, last)] * inside
+        elif part == letter:
+            waiting.append((place + 1, at + 1, first, last))
+    return None
 
 
 class Store(Protocol):
@@ -130,19 +216,16 @@ class RemoteStore:
             raise ResultError(f"{self.root}/{path} has more than {LARGEST / 1e6:.0f} MB")
         return bytes(content)
 
-    def write(self, path: str, content: bytes) -> None:
-        """Write a file in one request."""
-        self._write(path, content)
-
     def create(self, path: str, content: bytes) -> bool:
         """Write a file in one request that fails if it is there, where the service can."""
         try:
-            self._write(path, content, mode="create")
+            self.write(path, content, mode="create")
         except FileExistsError:
             return False
         return True
 
-    def _write(self, path: str, content: bytes, **how: str) -> None:
+    def write(self, path: str, content: bytes, **how: str) -> None:
+        """Write a file in one request."""
         try:
             self._files.pipe_file(f"{self._folder}/{path}", content, **how)
         except FileExistsError:
@@ -156,3 +239,17 @@ class RemoteStore:
 def _unreachable(root: str, problem: Exception) -> ResultError:
     why = f"{type(problem).__name__} {reason(problem)}"
     return ResultError(f"{shown_path(root)} cannot be reached: {why}", file=root)
+
+
+def unpacked(path: Path) -> LogTable:
+    """Return the table of a Parquet file as one column, the bytes of an Arrow stream.
+
+    `read_isolated` calls this, since decompression takes what memory it likes.
+    """
+    frame, stream = pl.read_parquet(path), io.BytesIO()
+    if frame.estimated_size() > LARGEST:
+        raise ResultError(f"it unpacks to more than {LARGEST / 1e6:.0f} MB")
+    frame.write_ipc_stream(stream)
+    content = stream.getvalue()
+    padded = content + bytes(-len(content) % 8)
+    return LogTable(source=str(path), columns={"arrow": np.frombuffer(padded)})

@@ -17,13 +17,13 @@ from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import grouped_files
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.untrusted import shown_path
-from asbuilt.workflow.fleet.ledger.identities import LONGEST_PATTERN, checked_id, identity_in
 from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.fleet.ledger.settings import TypeSettings, robot_type_of
+from asbuilt.workflow.fleet.ledger.store import LONGEST_PATTERN, checked_id, identity_in
 from asbuilt.workflow.fleet.options import FleetOptions
-from asbuilt.workflow.fleet.reduction.first_settings import choose_settings
+from asbuilt.workflow.fleet.overview import suspicions
+from asbuilt.workflow.fleet.reduction.log_source import choose_settings
 from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask, check_type, reduce_log
-from asbuilt.workflow.fleet.suspicions import suspicions
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Progress
 

@@ -26,8 +26,7 @@ from asbuilt.workflow.fleet.reduction.add import (
     run_tasks,
     who,
 )
-from asbuilt.workflow.fleet.reduction.first_settings import choose_settings
-from asbuilt.workflow.fleet.reduction.log_source import source_hash
+from asbuilt.workflow.fleet.reduction.log_source import choose_settings, source_hash
 from asbuilt.workflow.fleet.reduction.log_task import LogReport, LogTask
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Progress
@@ -128,7 +127,7 @@ def _by_type(
     }
     found: dict[str, list[tuple[tuple[Path, ...], EntryName]]] = {}
     failed = []
-    for outcome in workers.run(_hashed, recordings):
+    for outcome in workers.run(source_hash, recordings):
         files, digest = outcome.task, outcome.result
         name = entry_of.get((digest or "")[:DIGITS])
         if name is not None and type_of[name.settings] in types:
@@ -142,10 +141,6 @@ def _by_type(
     for items in found.values():
         items.sort()
     return found, failed
-
-
-def _hashed(files: tuple[Path, ...]) -> str:
-    return source_hash(files)
 
 
 def _renewed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from asbuilt.findings import Cure
 from asbuilt.identification.result.result import FIGURES, IdentificationResult
 from asbuilt.identification.result.torque_prediction import Prediction
 from asbuilt.writers.figures.figure_style import AS_BUILT, GREY, INK, blank_figure, headline, styled
-from asbuilt.writers.figures.torque_figure import draw_errors, draw_torque, torque_label
+from asbuilt.writers.figures.study_figures import draw_errors, draw_torque, torque_label
 
 Axes = NDArray[np.object_]
 
@@ -30,16 +31,6 @@ def _axes_in(axes: Any, count: int, width: float, height: float) -> Axes:
             f"this figure needs {count} axes, got {given.size}", value=given.size, expected=count
         )
     return given
-
-
-def _required(prediction: Prediction | None, kind: str) -> Prediction:
-    """Return the prediction; raises `UsageError` if there is none."""
-    if prediction is None:
-        raise UsageError(
-            f"a figure of {kind} shows a recording, and none is given",
-            cure=Cure("give a recording or its prediction, or draw the figure of the study"),
-        )
-    return prediction
 
 
 def draw_parameters(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
@@ -84,20 +75,19 @@ def draw_parameters(result: IdentificationResult, prediction: Prediction | None,
     return own
 
 
-def draw_torques(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
-    """Draw measured and predicted torque of a recording."""
-    return _by_joint(result, _required(prediction, "torque"), axes, residuals=False)
-
-
-def draw_residuals(result: IdentificationResult, prediction: Prediction | None, axes: Any) -> Axes:
-    """Draw measured less predicted torque of a recording."""
-    return _by_joint(result, _required(prediction, "residuals"), axes, residuals=True)
-
-
-def _by_joint(
-    result: IdentificationResult, shown: Prediction, axes: Any, *, residuals: bool
+def draw_joints(
+    kind: str, result: IdentificationResult, shown: Prediction | None, axes: Any
 ) -> Axes:
-    joints = result.model.joints
+    """Draw measured and predicted torque of a recording, or for `"residuals"` their difference.
+
+    Raises `UsageError` if there is no prediction.
+    """
+    if shown is None:
+        raise UsageError(
+            f"a figure of {kind} shows a recording, and none is given",
+            cure=Cure("give a recording or its prediction, or draw the figure of the study"),
+        )
+    joints, residuals = result.model.joints, kind == "residuals"
     with styled():
         # 1.25: height of a joint's axis [inch].
         own = _axes_in(axes, len(joints), 8.0, 1.25 * len(joints) + 0.7)
@@ -114,5 +104,5 @@ def _by_joint(
 
 
 FIGURES.register("parameters", draw_parameters)
-FIGURES.register("torque", draw_torques)
-FIGURES.register("residuals", draw_residuals)
+FIGURES.register("torque", partial(draw_joints, "torque"))
+FIGURES.register("residuals", partial(draw_joints, "residuals"))

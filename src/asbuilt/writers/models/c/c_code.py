@@ -13,15 +13,20 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import described_drive, drive_torque
-from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
-from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.dynamics import (
+    BaseParameters,
+    DriveSet,
+    TorqueModel,
+    described_drive,
+    drive_torque,
+    find_base_parameters,
+    gravity_torque,
+    inverse_dynamics,
+    parameter_values,
+)
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
-from asbuilt.monitoring.balance import armature_matrix
+from asbuilt.monitoring.observer import armature_matrix
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_dynamics import Mechanism, drive_entries, with_drives
 from asbuilt.writers.models.c.c_expressions import ZERO, StraightLine, Term

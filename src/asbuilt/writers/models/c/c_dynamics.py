@@ -64,11 +64,7 @@ class Mechanism:
         turning = [joint.is_revolute for joint in self.tree.joints]
         self.cosine, self.sine = (
             [
-                (
-                    self.code.given(f"{function}({angle.written()})", *_defined(angle))
-                    if turns
-                    else still
-                )
+                (self.code.given(f"{function}({angle.written()})", angle.name) if turns else still)
                 for angle, turns in zip(self.link_q, turning, strict=True)
             ]
             for function, still in (("cos", ONE), ("sin", ZERO))
@@ -270,7 +266,7 @@ class Mechanism:
 
     def _inertial(self, motion: Motion, parameters: Array) -> Wrench:
         """Return `F = m a + U h` and `N = I dw + w x I w + h x a`, `U = [dw]x + [w]x [w]x`."""
-        xx, xy, xz, yy, yz, zz, *h, m = _numbers(parameters)
+        xx, xy, xz, yy, yz, zz, *h, m = map(Term, parameters.tolist())
         inertia: Matrix = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
         moment_of_mass: Vector = (h[0], h[1], h[2])
         force, moment = NOTHING, NOTHING
@@ -289,7 +285,7 @@ class Mechanism:
 
     def _momentum(self, twist: Screw, parameters: Array) -> Wrench:
         """Return force `m v + w x h` and moment `I w + h x v` of a link."""
-        xx, xy, xz, yy, yz, zz, *h, m = _numbers(parameters)
+        xx, xy, xz, yy, yz, zz, *h, m = map(Term, parameters.tolist())
         first: Vector = (h[0], h[1], h[2])
         turned, swung = self._cross(twist.z, first), self._cross(first, twist.m)
         rows, total = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), self.code.total
@@ -346,17 +342,8 @@ class Mechanism:
         return x, y, z
 
 
-def _defined(angle: Term) -> tuple[str, ...]:
-    """Return the variable that an angle is made of, nothing for an argument of the function."""
-    return () if not angle.name or angle.name.startswith("q[") else (angle.name,)
-
-
-def _numbers(values: Array) -> tuple[Term, ...]:
-    return tuple(Term(float(value)) for value in values)
-
-
 def _vector(values: Array) -> Vector:
-    x, y, z = _numbers(values)
+    x, y, z = map(Term, values.tolist())
     return x, y, z
 
 

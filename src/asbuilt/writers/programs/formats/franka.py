@@ -67,7 +67,6 @@ class FrankaFormat(ProgramFormat):
                 f" {stem}_log.csv"
             ),
         )
-        start = numbers(request.motion.start, STREAMED_DECIMALS)
         source = render(
             "franka.cpp.j2",
             preamble=commented(preamble(request, self.title, use), "//"),
@@ -75,7 +74,7 @@ class FrankaFormat(ProgramFormat):
                 "motion_table.hpp.j2",
                 n_joints=request.model.n_joints,
                 duration=f"{request.motion.duration:.9f}",
-                start=start,
+                start=numbers(request.motion.start, STREAMED_DECIMALS),
             ),
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
             tolerance=f"{request.start_tolerance.min():g}",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from asbuilt.excitation.motions.motion import Motion
-from asbuilt.excitation.motions.motion_csv import times_to_end
+from asbuilt.excitation import Motion, times_to_end
 from asbuilt.writers.programs.format import (
     DRY_RUN_SLOWDOWN,
     PROGRAM_FORMATS,

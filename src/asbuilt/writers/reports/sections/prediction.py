@@ -1,13 +1,19 @@
-"""Sections of the prediction: torque over time, and the error in itself."""
+"""Sections of the prediction: torque over time, the error in itself, and simulated motion."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.tables import Column, Table, significant
-from asbuilt.validation.prediction import Validation
+from asbuilt.validation import Rollout, Validation
 from asbuilt.writers.reports.page import table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
+from asbuilt.writers.tables.rollout_tables import rollout_table
 
 TORQUE = """\
 <div class="controls">
@@ -85,3 +91,111 @@ sections.register("torque", Section("Torque", 20, TORQUE, _torque))
 sections.register(
     "error", Section("Error of the prediction as built", 30, ERROR, _error, folded=True)
 )
+
+ROLLOUT = """\
+<div class="scroll">{{ table }}</div>
+<p class="quiet">{{ note }}</p>
+<div class="grid">{% for name, lines, extent, reach in joints %}
+<figure><figcaption>{{ name }}, {{ extent }} over {{ seconds }} s; errors within {{ reach }}\
+</figcaption>\
+<svg viewBox="0 0 600 250" role="img" aria-label="motion of {{ name }} and its errors">\
+{% for x in starts %}<line x1="{{ x }}" x2="{{ x }}" y1="0" y2="250" stroke="#8a8f98"\
+ stroke-width="0.8" stroke-dasharray="2 4"/>{% endfor %}\
+<line x1="0" x2="600" y1="210" y2="210" stroke="#8a8f98" stroke-width="0.8"/>\
+{% for colour, width, pieces in lines %}{% for points in pieces %}<polyline fill="none"\
+ stroke="{{ colour }}" stroke-width="{{ width }}" points="{{ points }}"/>{% endfor %}{% endfor %}\
+</svg></figure>
+{% endfor %}</div>
+"""
+COLOURS = {"measured": "#a4a9b1", "CAD": "#d98324", "as built": "#1f6feb"}
+CUT = 10.0
+"""Times the largest error as built at which errors by CAD are cut off."""
+_BY = {"as built": "as built", "CAD": "by CAD"}
+POINTS = 600
+"""Points of a line."""
+LONGEST = 12.0
+"""Longest part of a recording that is drawn [s]."""
+
+
+def _context(report: Report) -> dict[str, Any] | None:
+    rollouts = report.study.rollouts
+    return rollout_fields(report.study.result.model, rollouts) if rollouts else None
+
+
+def rollout_fields(model: RobotModel, rollouts: Sequence[Rollout]) -> dict[str, Any]:
+    """Return the fields of the template: errors, and the motion of the longest rollouts."""
+    shown = rollouts[-1]
+    first = shown.motions[0].windows
+    count = _count(shown)
+    return {
+        "table": table_markup(rollout_table(model, rollouts), "rollouts"),
+        "note": (
+            f"Windows of {shown.horizon:g} s, one after another, driven by the"
+            f" {shown.driven_by}: measured (grey), simulated by CAD (orange) and as built (blue)."
+            " Each window starts in the measured state (dotted lines). Errors are below the motion,"
+            f" cut off at {CUT:g} times the largest as built."
+            + (f" The first {count} of {first.n_windows}." if count < first.n_windows else "")
+        ),
+        "joints": [
+            _joint(joint.name, shown, k, "rad" if joint.is_revolute else "m")
+            for k, joint in enumerate(model.joints)
+        ],
+        "seconds": f"{count * first.horizon:.3g}",
+        "starts": [f"{600.0 * w / count:.1f}" for w in range(1, count)],
+    }
+
+
+def _count(rollout: Rollout) -> int:
+    """Return how many windows of the first recording are drawn."""
+    windows = rollout.motions[0].windows
+    return max(1, min(windows.n_windows, int(LONGEST / windows.horizon)))
+
+
+def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[Any], str, str]:
+    """Return name, lines, range and largest errors of a joint in the first recording."""
+    motion, count = rollout.motions[0], _count(rollout)
+    paths = {"measured": motion.windows.q, "CAD": motion.cad, "as built": motion.as_built}
+    measured = motion.windows.q[:count, :, k]
+    there = {what: path[:count, :, k] for what, path in paths.items() if path is not None}
+    errors = {what: path - measured for what, path in there.items() if what != "measured"}
+    largest = {what: float(np.nanmax(np.abs(x), initial=0.0)) for what, x in errors.items()}
+    bound = min(CUT * largest.get("as built", np.inf), max(largest.values(), default=0.0)) or 1e-9
+    reach = max(0.1 * float(np.ptp(measured)), 1.2 * largest.get("as built", 0.0), 1e-3)
+    lower, upper = float(measured.min()) - reach, float(measured.max()) + reach
+    lines = [
+        (COLOURS[what], 3.5 if what == "measured" else 1.4, _pieces(path, lower, upper, 0.0, 160.0))
+        for what, path in there.items()
+    ] + [
+        (COLOURS[what], 1.6, _pieces(error, -bound, bound, 172.0, 248.0))
+        for what, error in errors.items()
+    ]
+    said = [f"{_length(each, unit)} {_BY[what]}" for what, each in reversed(largest.items())]
+    extent = f"{measured.min():.3g} to {measured.max():.3g} {unit}"
+    return name, lines, extent, ", ".join(said)
+
+
+def _length(value: float, unit: str) -> str:
+    """Return a distance in thousandths of its unit, or in the unit from one on.
+
+    >>> _length(0.0123, "rad"), _length(6.07, "rad")
+    ('12.3 mrad', '6.07 rad')
+    """
+    return f"{value:.3g} {unit}" if value >= 1.0 else f"{1e3 * value:.3g} m{unit}"
+
+
+def _pieces(path: Array, lower: float, upper: float, top: float, bottom: float) -> list[str]:
+    """Return the points of each window (W, L) between two heights, as far as they are finite."""
+    count, length = path.shape
+    at = np.unique(np.linspace(0, length - 1, min(length, max(2, POINTS // count))).astype(int))
+    pieces = []
+    for w, values in enumerate(path):
+        x = 600.0 * (w + at / (length - 1)) / count
+        share = np.clip((values[at] - lower) / (upper - lower), 0.0, 1.0)
+        y = bottom - share * (bottom - top)
+        there = np.isfinite(y)
+        points = zip(x[there].tolist(), y[there].tolist(), strict=True)
+        pieces.append(" ".join(f"{a:.1f},{b:.1f}" for a, b in points))
+    return pieces
+
+
+sections.register("rollout", Section("Rollout", 13, ROLLOUT, _context))

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from asbuilt.tables import Table
+import numpy as np
+
+from asbuilt.identification.calibration.encoders import EncoderPair
+from asbuilt.tables import Column, Table, plus_minus, significant
 from asbuilt.writers.figures.comparison_figures import attribution_figure
 from asbuilt.writers.figures.figure_style import figure_address
 from asbuilt.writers.reports.page import image_markup, list_markup, paragraph_markup, table_markup
@@ -55,3 +58,42 @@ sections.register("masses", Section("Masses", 22, PARTS, _masses))
 sections.register("comparison", Section("CAD and as built", 24, PARTS, _comparison))
 sections.register("causes", Section("Causes of the CAD error", 40, PARTS, _causes, folded=True))
 sections.register("payload", Section("Payload", 50, PARTS, _payload))
+
+TEMPLATE = """\
+<p class="quiet">Lag of the link's encoder, and the spring between motor and link. The rotor is\
+ the inertia that the motor's torque moves without the link; hysteresis is what the difference of\
+ the encoders changes by as the joint reverses. A dash: not determined.</p>
+{{ table | safe }}
+"""
+
+
+def _context(report: Report) -> dict[str, Any] | None:
+    pairs = report.study.result.encoders
+    if not pairs:
+        return None
+    columns = (
+        Column("joint"),
+        Column("lag", "ms", "right"),
+        Column("stiffness", "N m/rad, N/m", "right"),
+        Column("damping", "N m s/rad, N s/m", "right"),
+        Column("rotor", "kg m^2, kg", "right"),
+        Column("hysteresis", "mdeg, um", "right"),
+        Column("rest", "mdeg, um", "right"),
+    )
+    return {"table": Table(columns, tuple(map(_row, pairs))).as_html("encoders")}
+
+
+def _row(pair: EncoderPair) -> tuple[str, ...]:
+    scale = 1e3 * float(np.rad2deg(1.0)) if pair.revolute else 1e6
+    rotor = None if pair.rotor is None else (pair.rotor, pair.rotor_error or 0.0)
+    return (
+        pair.joint,
+        plus_minus(1e3 * pair.lag, 1e3 * pair.lag_error),
+        *("-" if each is None else plus_minus(*each) for each in (pair.stiffness, pair.damping)),
+        "-" if rotor is None else plus_minus(*rotor),
+        plus_minus(scale * pair.hysteresis, scale * pair.hysteresis_error),
+        significant(scale * pair.rest, 2),
+    )
+
+
+sections.register("encoders", Section("Two encoders", 14, TEMPLATE, _context))

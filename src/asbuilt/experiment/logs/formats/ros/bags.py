@@ -14,8 +14,7 @@ from asbuilt.errors import MissingExtraError, RecordingError
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.experiment.logs.formats.ros.joint_table import joint_table
-from asbuilt.experiment.logs.formats.ros.messages import JOINT_STATE, KINDS
-from asbuilt.experiment.logs.formats.ros.topics import chosen_topics
+from asbuilt.experiment.logs.formats.ros.messages import JOINT_STATE, KINDS, chosen_topics
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
 

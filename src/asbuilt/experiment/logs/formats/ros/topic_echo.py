@@ -13,10 +13,9 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.formats.log_format import LogTable, table_of_joints
+from asbuilt.experiment.logs.formats.ros.messages import FIELDS
 from asbuilt.findings import Cure
-
-FIELDS = (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
 
 
 def is_topic_echo(line: str) -> bool:
@@ -53,15 +52,12 @@ def read_topic_echo(path: Path) -> LogTable:
             file=str(path),
         )
     stamps = np.array(times, dtype=np.int64)
-    columns: dict[str, Array] = {"time": (stamps - stamps[0]).astype(np.float64) * 1e-9}
-    known: dict[str, tuple[str, str]] = {}
-    for which, (field, quantity) in enumerate(FIELDS):
-        if np.all(np.isnan(values[:, which])):
-            continue
-        for k, name in enumerate(joints):
-            columns[f"{name}/{field}"] = np.ascontiguousarray(values[:, which, k])
-            known[f"{name}/{field}"] = (quantity, name)
-    return LogTable(source=str(path), columns=columns, known=known)
+    groups = [
+        (field, quantity, joints, values[:, which])
+        for which, (field, quantity) in enumerate(FIELDS)
+        if not np.all(np.isnan(values[:, which]))
+    ]
+    return table_of_joints(str(path), (stamps - stamps[0]).astype(np.float64) * 1e-9, groups)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -38,7 +38,14 @@ class Bam(SimulatorFormat):
         """Return the parameter sets and notes."""
         sets = {joint.name: parameter_set(joint) for joint in drives.plain.joints}
         late = {"command_delay": drives.delay} if drives.delay else {}
-        negative = sorted({key for each in sets.values() for key in each if _below(each[key])})
+        negative = sorted(
+            {
+                key
+                for each in sets.values()
+                for key, value in each.items()
+                if isinstance(value, float) and value < 0.0
+            }
+        )
         uneven = [joint.name for joint in drives.plain.joints if _uneven(joint)]
         own = {
             "BAM also wants `actuator` (the class of the motor) and the motor's own numbers, `kt`,"
@@ -117,11 +124,6 @@ def _by_direction(terms: Any) -> dict[str, float]:
         found["load_friction_external_quad"] = terms[QUADRATIC]["Flqm"]
         found["load_friction_motor_quad"] = terms[QUADRATIC]["Flqe"]
     return found
-
-
-def _below(value: Any) -> bool:
-    """Whether a value of a parameter set is a negative number."""
-    return isinstance(value, float) and value < 0.0
 
 
 def _uneven(joint: Joint) -> bool:

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import Joint
-from asbuilt.description.rotation import quaternion_from_rotation
+from asbuilt.description import Joint, LinkInertia, quaternion_from_rotation
 from asbuilt.writers.models.simulators.simulator_format import (
     SIMULATOR_FORMATS,
     ExportedDrives,

@@ -1,0 +1,252 @@
+"""Commands that need a payload or a second channel of torques: channels, gains, payload."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import asbuilt
+from asbuilt import ChannelOptions, GainOptions, PayloadOptions, ReadingOptions, writers
+from asbuilt.cli.answers import answer, finding_text, listed_files, progress_bar
+from asbuilt.cli.arguments.options import (
+    AsJson,
+    Carrier,
+    Drive,
+    Filtering,
+    Full,
+    Judges,
+    Logs,
+    Out,
+    Result,
+    Robot,
+    Unchecked,
+    described_robot,
+    distinct_logs,
+    number_list,
+    recordings_of,
+    robot_and_recordings,
+)
+from asbuilt.experiment.logs.readers import find_sheet
+from asbuilt.tables import wrapped
+from asbuilt.writers.files import with_files
+
+
+def channels(
+    robot: Robot,
+    log: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")
+    ],
+    motor: Annotated[
+        list[Path],
+        typer.Option(
+            "--motor", metavar="LOG", help="the same with motor torques, in the same order"
+        ),
+    ],
+    *,
+    motor_gain: Annotated[
+        str | None,
+        typer.Option(
+            "--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors"
+        ),
+    ] = None,
+    motor_sheet: Annotated[
+        Path | None,
+        typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs"),
+    ] = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(
+            "--drive",
+            metavar="LIST",
+            help="drive terms behind the sensors (default: viscous,coulomb,offset)",
+        ),
+    ] = None,
+    motor_drive: Annotated[
+        str | None,
+        typer.Option(
+            "--motor-drive",
+            metavar="LIST",
+            help=(
+                "drive terms before the sensors (default: armature,viscous,coulomb,offset, and"
+                " those of coupled motors)"
+            ),
+        ),
+    ] = None,
+    unchecked: Unchecked = False,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify links, link-side friction and motor side from torques on both sides of the gears."""
+    distinct_logs(log)
+    distinct_logs(motor)
+    if motor_sheet is None and motor_gain is None:
+        distinct_logs(log, motor)
+    model = described_robot(robot, **reading.of_base)
+    on_links = replace(reading, torque_source=reading.torque_source or "sensor")
+    on_motors = replace(
+        reading,
+        gain=number_list("--motor-gain", motor_gain) or None,
+        torque_source="motor",
+        sheet=motor_sheet or reading.sheet,
+    )
+    model, (sensors,) = robot_and_recordings(model, on_links, log)
+    model, (motors,) = robot_and_recordings(model, on_motors, motor)
+
+    options = ChannelOptions(
+        link_side=None if drive is None else asbuilt.DriveSet.parse(drive),
+        motor_side=None if motor_drive is None else asbuilt.DriveSet.parse(motor_drive),
+        chain=filtering.chain(),
+        checked=not unchecked,
+    )
+    with progress_bar() as report:
+        found = asbuilt.identify_channels(model, sensors, motors, options=options, progress=report)
+    said = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
+    answer(
+        as_json,
+        lambda: writers.channels_document(found),
+        lambda: writers.channels_text(found, full) + said,
+    )
+
+
+def gains(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
+    loaded: Annotated[
+        list[Path],
+        typer.Option(
+            "--loaded", metavar="LOG", help="a recording with the payload; repeat for more"
+        ),
+    ],
+    mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
+    *,
+    com: Annotated[
+        str | None,
+        typer.Option(
+            "--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], if known"
+        ),
+    ] = None,
+    frame: Carrier = None,
+    drive: Drive = None,
+    unchecked: Unchecked = False,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass.
+
+    The command prints the --gain that uses it. Gains of a sheet or of --gain scale the torques as
+    usual; the gains printed replace them. In logs of commands the gain is the stiffness of the
+    position servo, --kp.
+    """
+    distinct_logs(log, loaded)
+    options = GainOptions(
+        com=number_list("--com", com, 3) or None,
+        frame=frame,
+        drive=None if drive is None else asbuilt.DriveSet.parse(drive),
+        chain=filtering.chain(),
+        checked=not unchecked,
+    )
+    model = described_robot(robot, **reading.of_base)
+    source = reading.torque_source or find_sheet(log[0], reading.sheet)[0].torque_source
+    measured = replace(reading, torque_source=source or "current")
+    model, (bare, under) = robot_and_recordings(model, measured, log, loaded)
+
+    with progress_bar() as report:
+        found = asbuilt.find_gains(model, bare, under, mass=mass, options=options, progress=report)
+    answer(as_json, lambda: writers.gains_document(found), lambda: writers.gains_text(found, full))
+
+
+def payload(
+    result: Result,
+    log: Logs,
+    *,
+    options: PayloadOptions,
+    unloaded: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more"
+        ),
+    ] = None,
+    validate: Judges = None,
+    moments: Annotated[
+        bool,
+        typer.Option(
+            "--moments",
+            help=(
+                "a weight on any link (--frame): the change of first moments, with the mass if"
+                " the motion determines it"
+            ),
+        ),
+    ] = False,
+    gain_uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            "--gain-uncertainty",
+            metavar="7%|P1,P2,...",
+            help=(
+                "relative error of the torque per ampere, for all joints or each (default: 7% for"
+                " currents, 5% for motor torques, 0 for sensors; more where gravity torques are"
+                " far from CAD's)"
+            ),
+        ),
+    ] = None,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
+    distinct_logs(log, unloaded, validate)
+    identified = asbuilt.read_result(result)
+    loaded, bare, others = (
+        recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
+    )
+    from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
+    from asbuilt.workflow.calibration import identify_moments
+
+    options = replace(
+        options,
+        chain=filtering.chain(),
+        gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
+    )
+    if moments:
+        with progress_bar() as report:
+            weight = identify_moments(
+                identified, loaded, unloaded=bare, options=options, progress=report
+            )
+        document = writers.moments_document(weight)
+        written = (
+            {} if out is None else {"moments": writers.write_json(out / "moments.json", document)}
+        )
+        answer(
+            as_json,
+            lambda: with_files(document, written),
+            lambda: writers.moments_table(weight).as_text(full) + listed_files(written),
+        )
+        return
+    with progress_bar() as report:
+        found = asbuilt.identify_payload(
+            identified,
+            loaded,
+            unloaded=bare,
+            validation=others,
+            options=options,
+            progress=report,
+        )
+    files = (
+        {"payload": writers.write_json(out / "payload.json", writers.payload_document(found))}
+        if out is not None
+        else {}
+    )
+    answer(
+        as_json,
+        lambda: writers.payload_document(found, files),
+        lambda: writers.payload_text(found, full) + listed_files(files),
+    )

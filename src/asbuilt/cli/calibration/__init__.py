@@ -1,1 +1,0 @@
-"""Commands that need a payload or a second channel of torques."""

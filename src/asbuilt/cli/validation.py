@@ -1,0 +1,430 @@
+"""Commands that hold a model against recordings: validate, compare, review, watch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import asbuilt
+from asbuilt import (
+    ReadingOptions,
+    StudyOptions,
+    UsageError,
+    WatchOptions,
+    identification,
+    validation,
+    workflow,
+    writers,
+)
+from asbuilt.cli.answers import (
+    answer,
+    cure_text,
+    finding_text,
+    folded,
+    listed_files,
+    progress_bar,
+)
+from asbuilt.cli.arguments.options import (
+    AsJson,
+    Filtering,
+    Full,
+    Logs,
+    Out,
+    Processes,
+    Result,
+    Robot,
+    Scheduler,
+    TimelineFiles,
+    Unchecked,
+    described_robot,
+    distinct_logs,
+    recordings_of,
+    refuse_idle,
+    refuse_sharing,
+    robot_and_recordings,
+    shared_work,
+    writable_file,
+)
+from asbuilt.cli.arguments.spread import given_options
+from asbuilt.tables import wrapped
+from asbuilt.workflow.options import (
+    BLOCKS,
+    ROLLOUT,
+    ControllerOptions,
+    ValidationOptions,
+    horizons,
+)
+
+if TYPE_CHECKING:
+    from asbuilt.executor import Workers
+
+
+def validate(
+    result: Annotated[
+        str,
+        typer.Argument(
+            metavar="RESULT|ROBOT",
+            help="a result.json that `asbuilt identify --out` wrote, or a robot as described",
+        ),
+    ],
+    log: Logs,
+    *,
+    rollout: Annotated[
+        str | None,
+        typer.Option("--rollout", metavar="LIST", help=ROLLOUT["help"]),
+    ] = None,
+    animation: Annotated[
+        Path | None,
+        typer.Option(
+            "--animation",
+            metavar="FILE",
+            help="measured and simulated motion of the longest rollout as .webp or .gif",
+            callback=writable_file,
+        ),
+    ] = None,
+    require: Annotated[
+        bool,
+        typer.Option("--require", help="exit with status 1 if the model predicts worse than CAD"),
+    ] = False,
+    unchecked: Unchecked = False,
+    workers: Processes = None,
+    scheduler: Scheduler = None,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    timelines: TimelineFiles,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Predict recordings with an identified model, and with CAD beside it."""
+    distinct_logs(log)
+    if rollout is None:
+        refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
+        refuse_sharing("only rollouts are shared", workers, scheduler)
+    options = ValidationOptions(
+        chain=filtering.chain() if any(filtering.given.values()) else None,
+        rollout=() if rollout is None else horizons(rollout),
+        checked=not unchecked,
+    )
+    if Path(result).suffix.lower() != ".json":
+        refuse_idle(
+            "--require compares an identified model with CAD; a robot as described is CAD",
+            {"--require": require},
+        )
+        refuse_idle("timelines show the predictions of a result", given_options(timelines))
+        with shared_work(workers, scheduler) as shared:
+            _validate_described(
+                result, log, options, reading, out, animation, shared, full=full, as_json=as_json
+            )
+        return
+    identified = asbuilt.read_result(Path(result))
+    if options.chain is not None and filtering.delay is None and identified.chain is not None:
+        kept = replace(options.chain, delay=identified.chain.delay)
+        options = replace(options, chain=kept)
+    logged = recordings_of(identified.model, log, reading)
+    from asbuilt.workflow.validation import validation_verdict
+
+    validations = asbuilt.validate(identified, logged, options=options)
+    with shared_work(workers, scheduler) as shared:
+        simulated = asbuilt.roll_out_result(
+            identified, logged, options.rollout, options=options, workers=shared
+        )
+    files = writers.write_validations(out, identified, validations) if out is not None else {}
+    files |= writers.write_rollouts(identified.model, simulated, out, animation)
+    files |= timelines.write(
+        lambda: writers.timelines_of_validations(identified.model, validations, logged)
+    )
+    comparison = asbuilt.compare(identified, validation=validations)
+    verdicts = [validation.cad_verdict(each) for each in validations]
+    found = validation_verdict(identified, logged, validations, simulated)
+    answer(
+        as_json,
+        lambda: writers.with_rollouts(
+            writers.validate_document(identified, validations, files=files, verdict=found),
+            simulated,
+        ),
+        lambda: (
+            wrapped(found.text)
+            + "\n\n"
+            + comparison.torque_table().as_text(full)
+            + "\n"
+            + "\n".join(wrapped(each.sentence) for each in verdicts)
+            + "\n"
+            + wrapped(comparison.verdict())
+            + ("\n" if simulated else "")
+            + writers.rollout_text(identified.model, simulated, full=full, cure_text=cure_text)
+            + listed_files(files)
+        ),
+    )
+    if require and any(verdict.is_worse for verdict in verdicts):
+        raise typer.Exit(1)
+
+
+def _validate_described(
+    robot: str,
+    log: list[Path],
+    options: ValidationOptions,
+    reading: ReadingOptions,
+    out: Path | None,
+    animation: Path | None,
+    workers: Workers | None,
+    *,
+    full: bool,
+    as_json: bool,
+) -> None:
+    """Predict recordings with a robot as described."""
+    if out is not None and not options.rollout:
+        raise UsageError(
+            "--out writes the predictions of a result; for a robot as described there is only"
+            " the table, and a page of its rollouts (--rollout)"
+        )
+    model, (logged,) = robot_and_recordings(described_robot(robot, **reading.of_base), reading, log)
+    from asbuilt.workflow.servo import has_open_servo
+
+    # Where a log has neither torque nor gains, simulated motion is all there is to compare.
+    with_torque = [each for each in logged if not (options.rollout and has_open_servo(each))]
+    errors = asbuilt.validate_robot(model, with_torque, options=options) if with_torque else ()
+    simulated = asbuilt.roll_out_robot(
+        model, logged, options.rollout, options=options, workers=workers
+    )
+    files = writers.write_rollouts(model, simulated, out, animation)
+    answer(
+        as_json,
+        lambda: writers.with_files(
+            writers.with_rollouts(writers.described_document(model, errors), simulated), files
+        ),
+        lambda: (
+            (writers.described_torque_table(model, errors).as_text(full) if errors else "")
+            + writers.rollout_text(model, simulated, full=full, cure_text=cure_text)
+            + (listed_files(files) if files else "")
+        ),
+    )
+
+
+def compare(
+    result: Result,
+    *,
+    cad: Annotated[
+        str | None,
+        typer.Option(
+            "--cad", metavar="ROBOT", help="another description of the same robot to compare with"
+        ),
+    ] = None,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--cad-tolerance",
+            metavar="5%",
+            help="tolerance of CAD masses, centres and inertias: one fraction or three",
+        ),
+    ] = None,
+    other: Annotated[
+        Path | None,
+        typer.Option(
+            "--with",
+            metavar="RESULT2",
+            help="a later result of the same robot: what changed since RESULT",
+        ),
+    ] = None,
+    controller: Annotated[
+        Path | None,
+        typer.Option(
+            "--controller",
+            metavar="LOG",
+            help="a recording with tau_ext: compare with the controller's own model",
+        ),
+    ] = None,
+    holdout: Annotated[
+        str | None,
+        typer.Option(
+            "--holdout",
+            metavar="RULE",
+            help="what of --controller to validate on (default: blocks:5s:3)",
+        ),
+    ] = None,
+    unchecked: Unchecked = False,
+    reading: ReadingOptions,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare CAD with the robot as built.
+
+    What differs, what that costs in torque, which causes explain it; or two results of one robot.
+    """
+    identified, files = asbuilt.read_result(result), {}
+    if sum(choice is not None for choice in (cad, other, controller)) > 1:
+        raise UsageError(
+            "--cad, --with and --controller are three different comparisons; give one of them"
+        )
+    if controller is None:
+        refuse_idle(
+            "how a log is read, and what of it is held out, goes with --controller LOG",
+            {"--holdout": holdout is not None, "--unchecked": unchecked} | given_options(reading),
+        )
+    if other is not None or controller is not None:
+        refuse_idle(
+            "tolerances are those of CAD, with which --with and --controller compare nothing",
+            {"--cad-tolerance": cad_tolerance is not None},
+        )
+    recording = (
+        None if controller is None else recordings_of(identified.model, [controller], reading)[0]
+    )
+    drift: validation.Drift | workflow.ControllerComparison | None = None
+    if other is not None:
+        later, names = asbuilt.read_result(other), (str(result), str(other))
+        drift = asbuilt.compare_results(identified, later, labels=names)
+    elif recording is not None:
+        judged = ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked)
+        drift = asbuilt.compare_controller(identified, recording, options=judged)
+    if drift is not None:
+        files = writers.write_drift(out, drift) if out is not None else {}
+        answer(
+            as_json,
+            lambda: writers.with_files(drift.as_document(), files),
+            lambda: drift.as_text(full) + listed_files(files),
+        )
+        return
+    design = None if cad is None else described_robot(cad)
+    if design is not None:
+        held = identified.model.locked_joints.items()
+        design = design.locked({name: at for name, at in held if name in design.joint_names})
+    verdict = writers.CadVerdict(
+        asbuilt.compare(
+            identified,
+            design,
+            tolerance=None
+            if cad_tolerance is None
+            else validation.CadTolerance.parse(cad_tolerance),
+        ),
+        asbuilt.attribute(identified, design)
+        if identified.cause_data is not None and not identified.model.n_floating
+        else None,
+        identification.determination(identified),
+    )
+    files = writers.write_comparison(out, identified, verdict) if out is not None else {}
+    answer(
+        as_json,
+        lambda: writers.with_files(verdict.as_document(), files),
+        lambda: verdict.as_text(full) + listed_files(files),
+    )
+
+
+def review(
+    robot: Robot,
+    log: Logs,
+    *,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--cad-tolerance",
+            metavar="30%",
+            help=(
+                "plausible errors of masses, centres and inertias while another number is judged:"
+                " one fraction or three"
+            ),
+        ),
+    ] = None,
+    options: StudyOptions,
+    reading: ReadingOptions,
+    filtering: Filtering,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Judge every number that a description claims by recordings.
+
+    Armature, damping, friction loss, gains, masses, centres and inertias:
+    supported, contradicted or undetermined, and what each is an alias of.
+    """
+    distinct_logs(log)
+    model, swept = described_robot(robot, **reading.of_base), filtering.cutoff == "auto"
+    chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
+    with progress_bar() as report:
+        report("read", 0.0)
+        model, (recordings,) = robot_and_recordings(model, reading, log)
+        tolerance = {}
+        if cad_tolerance is not None:
+            tolerance["tolerance"] = validation.CadTolerance.parse(cad_tolerance)
+        found = asbuilt.review(
+            model,
+            recordings,
+            **tolerance,
+            options=replace(options, chain=chain, sweep_cutoff=swept),
+            progress=report,
+        )
+        files = writers.write_review(out, found) if out is not None else {}
+    answer(
+        as_json,
+        lambda: (
+            writers.with_files(writers.review_document(found), files)
+            if files
+            else writers.review_document(found)
+        ),
+        lambda: (
+            writers.review_text(found, full=full, finding_text=finding_text).rstrip("\n")
+            + listed_files(files)
+        ),
+    )
+
+
+def watch(
+    result: Result,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="the recording to watch")],
+    *,
+    calibrate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--calibrate",
+            metavar="LOG",
+            help="a recording without contact that sets the thresholds; repeat for more",
+        ),
+    ] = None,
+    thresholds: Annotated[
+        Path | None,
+        typer.Option(
+            "--thresholds", metavar="FILE", help="thresholds.json that an earlier watch wrote"
+        ),
+    ] = None,
+    options: WatchOptions,
+    reading: ReadingOptions,
+    timelines: TimelineFiles,
+    out: Out = None,
+    full: Full = False,
+    as_json: AsJson = False,
+) -> None:
+    """Watch a log for external torque, contact and fault.
+
+    Thresholds are set for a stated rate of false alarms on recordings without contact. Forces are
+    those on the robot, at the tool, in root axes.
+    """
+    if calibrate and thresholds is not None:
+        raise UsageError("--thresholds and --calibrate exclude each other; give one of them")
+    distinct_logs([log], calibrate)
+    identified = asbuilt.read_result(result)
+    given = None if thresholds is None else asbuilt.read_thresholds(thresholds)
+    with progress_bar() as report:
+        report("read", 0.0)
+        logged = recordings_of(identified.model, [log], reading)[0]
+
+        watched = asbuilt.watch(
+            identified,
+            logged,
+            calibrate=recordings_of(identified.model, calibrate, reading),
+            thresholds=given,
+            options=options,
+            progress=report,
+        )
+        files = writers.write_watched(out, watched) if out is not None else {}
+        files |= timelines.write(
+            lambda: [writers.timeline_of_watched(identified.model, watched, logged)]
+        )
+    said = "".join(folded(finding_text(each)) + "\n" for each in watched.findings)
+    answer(
+        as_json,
+        lambda: writers.with_files(watched.as_document(), files),
+        lambda: watched.as_text(full) + ("\n" + said if said else "") + listed_files(files),
+    )

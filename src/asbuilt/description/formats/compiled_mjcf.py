@@ -1,0 +1,329 @@
+"""Actuators, couplings and loops of a model that MuJoCo has compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import ROOT, Joint, Loop, Mimic
+from asbuilt.description.rotation import (
+    composed,
+    inverted,
+    placement,
+    rotation_from_quaternion,
+)
+from asbuilt.description.structure.parts import ancestors
+
+
+@contextmanager
+def collected_warnings(mujoco: ModuleType) -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
+    warnings: list[str] = []
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(warnings.append)
+    try:
+        yield warnings
+    finally:
+        mujoco.set_mju_user_warning(previous)
+
+
+@dataclass(frozen=True, slots=True)
+class Actuators:
+    """Read the actuators of a compiled `model` by joint; `mujoco` is the module."""
+
+    mujoco: ModuleType
+    model: Any
+
+    def of(self, joint: int) -> list[int]:
+        """Return the actuators that act on a joint."""
+        m, kinds = self.model, self.mujoco.mjtTrn
+        own = (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))  # alike but for balls
+        return [
+            actuator
+            for actuator in range(m.nu)
+            if m.actuator_trntype[actuator] in own and m.actuator_trnid[actuator, 0] == joint
+        ]
+
+    def torque_limit(self, joint: int) -> float:
+        """Return the largest torque [N m or N] of the actuators of a joint, infinite without.
+
+        It is limited by the range of their force and, of motors, of their control.
+        """
+        m, found = self.model, np.inf
+        for actuator in self.of(joint):
+            gear = abs(float(m.actuator_gear[actuator, 0]))
+            if m.actuator_forcelimited[actuator]:
+                bias = self._constant(actuator)
+                most = float(np.abs(m.actuator_forcerange[actuator] - bias).max())
+                found = min(found, most * gear)
+            if m.actuator_ctrllimited[actuator] and self.is_motor(actuator):
+                most = float(np.abs(m.actuator_ctrlrange[actuator]).max())
+                found = min(found, abs(float(m.actuator_gainprm[actuator, 0])) * most * gear)
+        return found
+
+    def gains(self, joint: int) -> tuple[float | None, float | None]:
+        """Return kp and kd of the position servo of a joint, on its side of the gear."""
+        m = self.model
+        for actuator in filter(self.is_servo, self.of(joint)):
+            gear = float(m.actuator_gear[actuator, 0])
+            gain, bias = m.actuator_gainprm[actuator], m.actuator_biasprm[actuator]
+            return float(gain[0]) * gear**2, float(-bias[2]) * gear**2
+        return None, None
+
+    def offset(self, joint: int) -> float | None:
+        """Return the torque that the drive of a joint lacks at rest, None if there is none."""
+        m = self.model
+        held = [k for k in self.of(joint) if self.is_motor(k) or self.is_servo(k)]
+        return -sum(self._constant(k) * float(m.actuator_gear[k, 0]) for k in held) or None
+
+    def _constant(self, actuator: int) -> float:
+        """Return the part of an actuator's force that depends on nothing."""
+        m, kinds = self.model, self.mujoco
+        affine = m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
+        return float(m.actuator_biasprm[actuator, 0]) if affine else 0.0
+
+    def is_motor(self, actuator: int) -> bool:
+        """Whether the torque of an actuator is its control times a factor, and a constant."""
+        m, kinds = self.model, self.mujoco
+        bias = m.actuator_biastype[actuator]
+        constant = bias == kinds.mjtBias.mjBIAS_AFFINE and not np.any(
+            m.actuator_biasprm[actuator, 1:3]
+        )
+        return bool(
+            m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
+            and (bias == kinds.mjtBias.mjBIAS_NONE or constant)
+        )
+
+    def is_servo(self, actuator: int) -> bool:
+        """Whether an actuator controls the position of its joint."""
+        m, kinds = self.model, self.mujoco
+        gain, bias = m.actuator_gainprm[actuator], m.actuator_biasprm[actuator]
+        return bool(
+            m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
+            and m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
+            and gain[0] > 0.0
+            and bias[1] == -gain[0]
+        )
+
+    def notes(self) -> Iterator[str]:
+        """Yield what a robot model does not hold of the actuators."""
+        m = self.model
+        at_joints = {actuator for joint in range(m.njnt) for actuator in self.of(joint)}
+        held = [k for k in sorted(at_joints) if self.is_motor(k) or self.is_servo(k)]
+        left = sorted(set(range(m.nu)) - set(held))
+        late = [k for k in held if m.actuator_dyntype[k] != self.mujoco.mjtDyn.mjDYN_NONE]
+        for some, said in (
+            (left, "left out; motors and position actuators of joints are read"),
+            (late, "taken to act at once; their dynamics are left out"),
+        ):
+            if some:
+                yield f"the actuators {', '.join(map(self._name, some))} are {said}"
+        for joint in range(m.njnt):
+            several = [k for k in self.of(joint) if k in held]
+            if len(several) > 1:
+                yield (
+                    f"the actuators {', '.join(map(self._name, several))} act on one joint: the"
+                    " gains of the first servo and the least limit count"
+                )
+
+    def _name(self, actuator: int) -> str:
+        kind = self.mujoco.mjtObj.mjOBJ_ACTUATOR
+        return self.mujoco.mj_id2name(self.model, kind, actuator) or f"actuator_{actuator}"
+
+
+Equation = tuple[dict[int, float], float]
+"""Factors c by joint and a number d: `sum_j c_j q_j = d`, the joint that may follow first."""
+
+
+def coupled_by_equalities(
+    mujoco: Any, compiled: Any, joints: Sequence[Joint], loops: Collection[int] = ()
+) -> tuple[list[Joint], int]:
+    """Return the joints with those that follow others, and the number of equalities left out.
+
+    Those of `loops` are neither.
+
+    By an equality of joints the first one follows; by one of tendons the first of its joints that
+    has no actuator and follows none yet.
+    """
+    found, left_out = list(joints), 0
+    for k in sorted({*range(compiled.neq)} - {*loops}):
+        equation = _equation(mujoco, compiled, k)
+        at = None if equation is None else _follower(mujoco, compiled, found, k, equation[0])
+        if equation is None or at is None:
+            left_out += 1
+            continue
+        factors, value = equation
+        own = factors.pop(at)
+        mimic = Mimic({found[j].name: -c / own for j, c in factors.items()}, value / own)
+        found[at] = replace(found[at], mimic=mimic)
+    return found, left_out
+
+
+def _equation(mujoco: Any, m: Any, k: int) -> Equation | None:
+    """Return an equality `y - y0 = a + b (x - x0)` as an equation of joints, if it is linear."""
+    kinds, one, other = mujoco.mjtEq, int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
+    if not m.eq_active0[k] or np.any(m.eq_data[k, 2:5]):
+        return None
+    if m.eq_type[k] == kinds.mjEQ_JOINT and other >= 0:
+        sides = [{one: 1.0}, {other: 1.0}]
+    elif m.eq_type[k] == kinds.mjEQ_TENDON:
+        sides = [_fixed_tendon(mujoco, m, t) if t >= 0 else {} for t in (one, other)]
+    else:
+        return None
+    if not sides[0] or (other >= 0 and not sides[1]):
+        return None
+    factors = dict(sides[0])
+    for j, c in sides[1].items():
+        factors[j] = factors.get(j, 0.0) - float(m.eq_data[k, 1]) * c
+    rest: Array = m.qpos0[m.jnt_qposadr]
+    return factors, float(m.eq_data[k, 0]) + sum(c * float(rest[j]) for j, c in factors.items())
+
+
+def _fixed_tendon(mujoco: Any, m: Any, tendon: int) -> dict[int, float]:
+    """Return the factors of a fixed tendon by joint, none for a spatial one."""
+    wraps = range(int(m.tendon_adr[tendon]), int(m.tendon_adr[tendon] + m.tendon_num[tendon]))
+    if any(m.wrap_type[w] != mujoco.mjtWrap.mjWRAP_JOINT for w in wraps):
+        return {}
+    return {int(m.wrap_objid[w]): float(m.wrap_prm[w]) for w in wraps}
+
+
+def _follower(
+    mujoco: Any, m: Any, joints: Sequence[Joint], k: int, factors: dict[int, float]
+) -> int | None:
+    """Return the joint that follows the others of an equation, None where none can."""
+    driven = {
+        int(m.actuator_trnid[a, 0])
+        for a in range(m.nu)
+        if m.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+    }
+    by_joints = m.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT
+    free = [
+        j
+        for j in ([int(m.eq_obj1id[k])] if by_joints else factors)
+        if factors[j]
+        and joints[j].mimic is None
+        and not any(joints[j].name in _sources(joints, other) for other in factors if other != j)
+    ]
+    return next((j for j in free if j not in driven), free[0] if free else None)
+
+
+def _sources(joints: Sequence[Joint], index: int) -> set[str]:
+    """Return the names of a joint and of all that it follows."""
+    by_name = {joint.name: k for k, joint in enumerate(joints)}
+    found, waiting = set[str](), [index]
+    while waiting:
+        joint = joints[waiting.pop()]
+        found.add(joint.name)
+        waiting += [by_name[name] for name in (joint.mimic.factors if joint.mimic else ())]
+    return found
+
+
+Place = tuple[str, Array]
+"""A link by name, and the pose (4, 4) in it of a body or a site."""
+
+
+def loops_by_equalities(
+    mujoco: Any, m: Any, bodies: Mapping[int, Place], joints: Sequence[Joint]
+) -> tuple[list[Loop], list[int]]:
+    """Return the loops that equalities close, and the numbers of these.
+
+    `bodies` has the link of each body.
+    """
+    kinds, found, used = mujoco.mjtEq, list[Loop](), list[int]()
+    for k in range(m.neq):
+        name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_EQUALITY, k) or ""
+        loop = None
+        if not m.eq_active0[k]:
+            continue
+        if m.eq_type[k] == kinds.mjEQ_JOINT:
+            loop = _curve(m, k, joints, name)
+        elif (welds := m.eq_type[k] == kinds.mjEQ_WELD) or m.eq_type[k] == kinds.mjEQ_CONNECT:
+            loop = _closed(mujoco, m, k, bodies, name, welds=bool(welds))
+        if loop is not None:
+            found.append(loop)
+            used.append(k)
+    return found, used
+
+
+def _curve(m: Any, k: int, joints: Sequence[Joint], name: str) -> Loop | None:
+    """Return `y - y0 = a_0 + a_1 (x - x0) + ...` as a loop where it is no linear coupling."""
+    one, other = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
+    polynomial = Polynomial(m.eq_data[k, :5])
+    if other >= 0 and not np.any(m.eq_data[k, 2:5]):
+        return None
+    rest = [float(m.qpos0[m.jnt_qposadr[j]]) for j in (one, max(other, 0))]
+    if other >= 0:
+        polynomial = polynomial(Polynomial([-rest[1], 1.0]))
+    terms = np.zeros(5 if other >= 0 else 1)
+    known = polynomial.coef[: terms.size]
+    terms[: known.size] = known
+    terms[0] += rest[0]
+    moved = (joints[one].name, *((joints[other].name,) if other >= 0 else ()))
+    return Loop("joint", joints=moved, polynomial=tuple(terms.tolist()), name=name)
+
+
+def _closed(
+    mujoco: Any, m: Any, k: int, bodies: Mapping[int, Place], name: str, *, welds: bool
+) -> Loop | None:
+    """Return the loop of an equality between bodies or sites; None where both are one link."""
+    ids, data = (int(m.eq_obj1id[k]), int(m.eq_obj2id[k])), m.eq_data[k]
+    at = [np.eye(4), np.eye(4)]
+    if m.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
+        at = [placement(rotation_from_quaternion(m.site_quat[i]), m.site_pos[i]) for i in ids]
+        ids = (int(m.site_bodyid[ids[0]]), int(m.site_bodyid[ids[1]]))
+    elif welds:
+        # the pose of body 2 in body 1, and the point of it that is held
+        pose = placement(rotation_from_quaternion(data[6:10]), data[3:6])
+        at = [composed(pose, placement(translation=data[:3])), placement(translation=data[:3])]
+    else:
+        at = [placement(translation=data[:3]), placement(translation=data[3:6])]
+    (link_a, on_a), (link_b, on_b) = (bodies[body] for body in ids)
+    if link_a == link_b:
+        return None
+    one, other = composed(on_a, at[0]), composed(on_b, at[1])
+    turned = composed(one, inverted(other))[:3, :3] if welds else np.eye(3)
+    return Loop(
+        "weld" if welds else "connect",
+        link_a,
+        one[:3, 3],
+        link_b,
+        other[:3, 3],
+        rotation=turned,
+        name=name,
+    )
+
+
+def with_passive_joints(
+    mujoco: Any, m: Any, joints: Sequence[Joint], links: Sequence[str], loops: Sequence[Loop]
+) -> list[Joint]:
+    """Return the joints with those of loops that no actuator moves as passive.
+
+    All stay as they are where the file has no actuator.
+    """
+    if not m.nu:
+        return list(joints)
+    actuators = Actuators(mujoco, m)
+    driven = {k for k in range(len(joints)) if actuators.of(k)}
+    inside = set[int]()
+    for loop in loops:
+        if loop.kind == "joint":
+            inside |= {k for k, joint in enumerate(joints) if joint.name == loop.joints[0]}
+            continue
+        one, other = (
+            {*ancestors(joints, links.index(link) if link in links else ROOT)}
+            for link, _ in loop.ends
+        )
+        inside |= one ^ other
+    return [
+        replace(joint, mimic=Mimic({}))
+        if k in inside and k not in driven and joint.mimic is None
+        else joint
+        for k, joint in enumerate(joints)
+    ]

@@ -1,1 +1,0 @@
-"""What the model that MuJoCo compiles from MJCF says."""

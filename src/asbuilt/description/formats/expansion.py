@@ -1,0 +1,299 @@
+"""Expansion of one xacro file: what a child process runs.
+
+The package xacro expands macros, properties and conditions. Its expressions are Python, from whose
+restrictions a generator's frames lead out, so that those of strangers are evaluated on a list of
+ours. Whatever that overlooks meets the audit hook, which lets nothing happen but reading.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import math
+import operator
+import os
+import stat
+import sys
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+    ast.Pow: lambda a, b: math.pow(a, b) if abs(b) > LARGEST_POWER else a**b,
+}
+UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Not: operator.not_,
+}
+COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Is: operator.is_,
+    ast.IsNot: operator.is_not,
+    ast.In: lambda a, b: a in b,
+    ast.NotIn: lambda a, b: a not in b,
+}
+LARGEST_POWER = 64
+"""Exponent beyond which a power is a floating-point number, which has no more than 8 bytes."""
+LITERALS = (bool, int, float, str, type(None))
+METHODS: dict[type, tuple[str, ...]] = {
+    str: ("endswith", "join", "lower", "replace", "split", "startswith", "strip", "upper"),
+    dict: ("get", "items", "keys", "values"),
+}
+"""Methods that may be called; none gives access to more than its own text or table."""
+BUILTINS: dict[str, Callable[..., Any]] = {
+    each.__name__: each
+    for each in (abs, all, any, bool, dict, divmod, enumerate, float, int, len, list, map, max,
+                 min, range, reversed, round, set, sorted, str, sum, tuple, zip)
+}  # fmt: skip
+MATH: dict[str, Any] = {
+    name: value
+    for name, value in vars(math).items()
+    if not name.startswith("_") and name not in ("comb", "factorial", "perm")
+}
+"""Functions and constants of `math`, without those whose value grows faster than any memory."""
+
+
+class ExpressionError(ValueError):
+    """An expression holds what is not on the list."""
+
+
+def evaluate(text: str, symbols: Mapping[str, Any], functions: Sequence[Any]) -> Any:
+    """Return the value of an expression.
+
+    Parameters
+    ----------
+    text
+        The expression, such as `length / 2 + cos(pi / 6)`.
+    symbols
+        Value of each name. A dotted name `a.b` is the item `b` of the mapping `a`.
+    functions
+        Objects that may be called.
+
+    Raises
+    ------
+    ExpressionError
+        If it holds anything that is not on the list; and whatever a listed operation raises.
+
+    Examples
+    --------
+    >>> evaluate("2 * max(a, 3) + b['c']", {"a": 1, "b": {"c": 4}, "max": max}, [max])
+    10
+    >>> evaluate("a.__class__", {"a": 1}, [])
+    Traceback (most recent call last):
+    ...
+    asbuilt.description.formats.expansion.expressions.ExpressionError: a.__class__ is not allowed
+    """
+    return _Expression(symbols, functions).value(ast.parse(text.strip(), mode="eval").body)
+
+
+class _Expression:
+    def __init__(self, symbols: Mapping[str, Any], functions: Sequence[Any]) -> None:
+        self._symbols, self._functions = symbols, functions
+
+    def value(self, node: Any) -> Any:
+        """Return the value of a node; the method of its kind has it."""
+        found = getattr(self, "_" + type(node).__name__.lower(), None)
+        if found is None:
+            raise _refused(node)
+        return found(node)
+
+    def _constant(self, node: ast.Constant) -> Any:
+        if not isinstance(node.value, LITERALS):
+            raise _refused(node)
+        return node.value
+
+    def _name(self, node: ast.Name) -> Any:
+        try:
+            return self._symbols[node.id]
+        except KeyError:
+            raise NameError(f"name '{node.id}' is not defined") from None
+
+    def _attribute(self, node: ast.Attribute) -> Any:
+        """Return an item of a namespace or table, never an attribute of an object."""
+        owner = self.value(node.value)
+        if not isinstance(owner, dict) or node.attr.startswith("_"):
+            raise _refused(node)
+        return owner[node.attr]
+
+    def _subscript(self, node: ast.Subscript) -> Any:
+        owner = self.value(node.value)
+        if not isinstance(owner, str | list | tuple | dict):
+            raise _refused(node)
+        return owner[self.value(node.slice)]
+
+    def _slice(self, node: ast.Slice) -> slice:
+        ends = (node.lower, node.upper, node.step)
+        return slice(*(None if each is None else self.value(each) for each in ends))
+
+    def _binop(self, node: ast.BinOp) -> Any:
+        if type(node.op) not in BINARY:
+            raise _refused(node)
+        return BINARY[type(node.op)](self.value(node.left), self.value(node.right))
+
+    def _unaryop(self, node: ast.UnaryOp) -> Any:
+        if type(node.op) not in UNARY:
+            raise _refused(node)
+        return UNARY[type(node.op)](self.value(node.operand))
+
+    def _boolop(self, node: ast.BoolOp) -> Any:
+        ends = bool if isinstance(node.op, ast.Or) else operator.not_
+        for each in node.values[:-1]:
+            if ends(value := self.value(each)):
+                return value
+        return self.value(node.values[-1])
+
+    def _compare(self, node: ast.Compare) -> Any:
+        left = self.value(node.left)
+        for kind, right in zip(node.ops, map(self.value, node.comparators), strict=True):
+            if not (found := COMPARISONS[type(kind)](left, right)):
+                return found
+            left = right
+        return found
+
+    def _ifexp(self, node: ast.IfExp) -> Any:
+        return self.value(node.body if self.value(node.test) else node.orelse)
+
+    def _tuple(self, node: ast.Tuple) -> tuple[Any, ...]:
+        return tuple(map(self.value, node.elts))
+
+    def _list(self, node: ast.List) -> list[Any]:
+        return [*map(self.value, node.elts)]
+
+    def _dict(self, node: ast.Dict) -> dict[Any, Any]:
+        return dict(zip(map(self.value, node.keys), map(self.value, node.values), strict=True))
+
+    def _call(self, node: ast.Call) -> Any:
+        function = self._function(node.func)
+        return function(
+            *map(self.value, node.args),
+            **{str(each.arg): self.value(each.value) for each in node.keywords},
+        )
+
+    def _function(self, node: ast.expr) -> Callable[..., Any]:
+        """Return a listed function, or a listed method of a text or table."""
+        if isinstance(node, ast.Attribute):
+            owner = self.value(node.value)
+            for kind, methods in METHODS.items():
+                if isinstance(owner, kind) and node.attr in methods:
+                    return getattr(kind(owner), node.attr)  # type: ignore[no-any-return]
+        function: Callable[..., Any] = self.value(node)
+        if not any(function is each for each in self._functions):
+            raise _refused(node)
+        return function
+
+
+def _refused(node: ast.AST) -> ExpressionError:
+    return ExpressionError(f"{ast.unparse(node)[:80]} is not allowed")
+
+
+MEMORY = 1_000_000_000
+"""Bytes that an expansion may take; `'a' * 10**10` asks for any amount."""
+SUFFIXES = (".urdf", ".xacro", ".xml", ".yaml", ".yml")
+"""Suffixes of files that a description may include or load."""
+NEEDED = ("safe_eval", "eval_extension", "_global_symbols", "NameSpace", "process_file")
+"""What is replaced or used of xacro; a version without one of them is not used."""
+AHEAD = ("xml.dom.expatbuilder", "xml.dom.pulldom", "encodings.utf_16", "encodings.latin_1")
+"""Modules that reading needs later, when none can be imported any more."""
+HARMLESS = ("builtins.id", "compile", "object.__getattr__", "sys._getframe")
+"""Audited events of parsing and copying; no code that is compiled can be run."""
+
+
+def expand(path: str, largest: int, *, trusted: bool) -> None:
+    """Write the URDF of a xacro file on stdout and end this process; with status 2 if it cannot.
+
+    One line on stderr says why. `largest` limits the bytes of a file that is read and of the URDF.
+    """
+    answer, reason = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(2), "wb")
+    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
+    status = 0
+    try:
+        _limit_memory()
+        xacro: Any = import_module("xacro")
+        if not trusted:
+            _restrict(xacro, Path(path).parent, largest)
+        content = xacro.process_file(path).toprettyxml(indent="  ").encode()
+        if len(content) > largest:
+            raise ValueError(f"the URDF has {len(content)} bytes, more than {largest}")
+        answer.write(content)
+        answer.flush()
+    except BaseException as problem:
+        said = " ".join(str(problem).split()) or type(problem).__name__
+        reason.write(said[:300].encode(errors="replace"))
+        reason.flush()
+        status = 2
+    os._exit(status)
+
+
+def _restrict(xacro: Any, folder: Path, largest: int) -> None:
+    """Give a stranger's file expressions of ours, and files of its own folder, alone."""
+    missing = [name for name in NEEDED if not hasattr(xacro, name)]
+    if missing:
+        raise ImportError(f"this version of xacro has no {missing[0]}; 2.1 has")
+    for name in (*AHEAD, "yaml"):
+        with contextlib.suppress(ImportError):
+            import_module(name)
+    math, python, own = (xacro.NameSpace() for _ in range(3))
+    math.update(MATH)
+    python.update(BUILTINS)
+    own.update(load_yaml=xacro.load_yaml, dotify=dict, arg=_argument(xacro))
+    names = {**MATH, **BUILTINS, "load_yaml": xacro.load_yaml}
+    xacro._global_symbols = names | {"math": math, "python": python, "xacro": own}
+    functions = [each for each in (*names.values(), *own.values()) if callable(each)]
+    xacro.safe_eval = lambda text, symbols, local=None: evaluate(text, symbols, functions)
+    xacro.eval_extension = lambda text: _substituted(xacro, text)
+    warnings.simplefilter("ignore")
+    sys.addaudithook(lambda event, given: _allow(event, given, folder, largest))
+
+
+def _argument(xacro: Any) -> Any:
+    """Return the function that gives an argument of the file by name."""
+    return lambda name: xacro.substitution_args_context["arg"][name]
+
+
+def _substituted(xacro: Any, text: str) -> Any:
+    """Return what `$(arg NAME)` stands for; what asks for more than that is refused."""
+    command, *names = text[2:-1].split()
+    if command != "arg" or len(names) != 1:
+        raise ValueError(f"{text[:80]} is not allowed")
+    return _argument(xacro)(names[0])
+
+
+def _allow(event: str, given: tuple[Any, ...], folder: Path, largest: int) -> None:
+    """Raise `PermissionError` unless an audited event is harmless or reads a file of the folder."""
+    if event in HARMLESS:
+        return
+    if event in ("glob.glob", "os.listdir", "os.scandir", "open"):
+        place, mode = Path(os.path.realpath(os.fsdecode(given[0]))), given[1:2] or ("r",)
+        reads = event != "open" or mode[0] in ("r", "rb", None)
+        if reads and place.is_relative_to(folder) and (event != "open" or _is_file(place, largest)):
+            return
+        raise PermissionError(f"{given[0]} is not a description in the folder of the robot")
+    raise PermissionError(f"{event} is not allowed")
+
+
+def _is_file(place: Path, largest: int) -> bool:
+    """Return whether a path may be read: a regular file, of a description, and not too large."""
+    if place.suffix.lower() not in SUFFIXES:
+        return False
+    state = os.stat(place)
+    return stat.S_ISREG(state.st_mode) and state.st_size <= largest
+
+
+def _limit_memory() -> None:
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        resource: Any = import_module("resource")  # not on Windows
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))

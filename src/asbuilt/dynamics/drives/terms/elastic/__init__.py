@@ -1,1 +1,0 @@
-"""Torque by the position of the joint alone, from springs and cables."""

@@ -1,1 +1,0 @@
-"""Friction by the velocity of the joint alone."""

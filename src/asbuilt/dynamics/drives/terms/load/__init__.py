@@ -1,1 +1,0 @@
-"""Friction by the load of gears and bearings."""

@@ -1,1 +1,0 @@
-"""Rotors that several joints turn."""

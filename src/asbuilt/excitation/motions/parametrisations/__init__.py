@@ -1,1 +1,0 @@
-"""Families of motions, one per file; each registers itself in `PARAMETRISATIONS`."""

@@ -1,0 +1,118 @@
+"""Measured forces on a robot: of the ground on its feet or hands, and of what carries its base.
+
+In `tau + J^T f = Y chi` a measured f is known and enters the left side; one that nobody measured
+is projected away (`dynamics.contact`). Forces [N] and moments [N m] act on the robot and are in
+axes of the frame that names them, as a sensor that is fixed there measures them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.parts import Contact
+from asbuilt.dynamics.contact import SAMPLES_AT_ONCE, contact_jacobians
+from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.free_base.rolling_feet import on_rolling_feet
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure, joined
+
+BASE = "base"
+FORCE, MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")
+
+
+PRESSED = 0.02
+"""Part of a large force above which a contact without a flag counts as closed."""
+
+
+def with_measured_forces(recording: Recording, model: RobotModel) -> Recording:
+    """Return a recording whose torque holds `J^T f` of measured forces.
+
+    Contacts count as open where their force is measured, so that it is not projected away; where a
+    sensor has no value, they are closed as their flag says.
+    """
+    if not any(name.endswith("_fx") for name in recording.extra):
+        return recording
+    rolling = on_rolling_feet(model, [recording])
+    wrenches = measured_wrenches(recording, rolling)
+    contact = None if recording.contact is None else recording.contact.copy()
+    for place, wrench in wrenches.items():
+        for k, each in enumerate(model.contacts):
+            if contact is not None and each.frame == place.frame:
+                contact[np.isfinite(wrench).all(axis=1), k] = 0.0
+    tau = recording.tau + generalised_forces(rolling, recording.q, wrenches)
+    return replace(recording, tau=tau, contact=contact)
+
+
+def force_columns(extra: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the columns of measured forces and of the flags of contacts."""
+    ends = tuple(f"_{kind}" for kind in (*FORCE, *MOMENT))
+    return {
+        name: values
+        for name, values in extra.items()
+        if name.endswith(ends) or name.startswith("contact_")
+    }
+
+
+def pressed(force: Array) -> Array:
+    """Return 1 where a force (N,) is felt, or has no value, and 0 elsewhere."""
+    large = float(np.nanquantile(np.abs(force), 0.95))
+    return np.asarray(~(np.abs(force) <= PRESSED * large), dtype=np.float64)
+
+
+def measured_wrenches(recording: Recording, model: RobotModel) -> dict[Contact, Array]:
+    """Return measured forces (N, 3), or forces and moments (N, 6), with where they act.
+
+    Raises
+    ------
+    RecordingError
+        If some components of a force are missing, or the moments on a sole.
+    """
+    base = Contact(model.link_names[model.n_floating - 1], radius=0.0)
+    places = {BASE: base} | {f"contact_{each.frame}": each for each in model.contacts}
+    found = {}
+    for key, contact in places.items():
+        parts = [[f"{key}_{axis}" for axis in kind] for kind in (FORCE, MOMENT)]
+        known = [[name for name in names if name in recording.extra] for names in parts]
+        if not any(known):
+            continue
+        wanted = parts[0] + (parts[1] if known[1] or contact.flat else [])
+        missing = [name for name in wanted if name not in recording.extra]
+        if missing:
+            raise RecordingError(
+                f"{recording.source} has {joined([*known[0], *known[1]])} but no {missing[0]}; a"
+                f" measured force has {' '.join(wanted)}"
+                + (", with the moments of a sole" if contact.flat else ""),
+                cure=Cure("log all components, or leave the force out, and it is projected away"),
+                file=recording.source,
+                value=missing,
+            )
+        acts = replace(contact, flat=True, radius=0.0) if len(wanted) == 6 else contact
+        found[acts] = np.stack([recording.extra[name] for name in wanted], axis=1)
+    return found
+
+
+def generalised_forces(model: RobotModel, q: Array, wrenches: Mapping[Contact, Array]) -> Array:
+    """Return `J^T f` (N, n) of measured forces at positions q (N, n); those unknown count as 0."""
+    found = np.zeros(q.shape)
+    places = replace(model, contacts=tuple(wrenches))
+    for start in range(0, len(q), SAMPLES_AT_ONCE):
+        span = slice(start, start + SAMPLES_AT_ONCE)
+        jacobians = contact_jacobians(places, q[span])
+        for J, (contact, wrench) in zip(jacobians, wrenches.items(), strict=True):
+            f = np.nan_to_num(in_world_axes(model, q[span], contact, wrench[span]))
+            found[span] += np.einsum("sij,si->sj", J, f)
+    return found
+
+
+def in_world_axes(model: RobotModel, q: Array, contact: Contact, wrench: Array) -> Array:
+    """Return a wrench (N, 3 or 6) turned from axes of its frame into those of the world."""
+    link, placement = model.placed(contact.frame)
+    R = link_poses(model, q)[:, link, :3, :3] @ placement[:3, :3]
+    parts = wrench.reshape(len(q), -1, 3)
+    return np.asarray(np.einsum("sij,skj->ski", R, parts).reshape(wrench.shape))

@@ -1,0 +1,334 @@
+"""Recordings in files of arrays: NumPy and PyTorch archives, HDF5 and MATLAB files."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zipfile
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import MissingExtraError, RecordingError
+from asbuilt.experiment.logs.formats.isolated import LIMITS, read_isolated
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogTable,
+    table_from_variables,
+)
+from asbuilt.findings import Cure
+from asbuilt.untrusted import reason
+
+_SAVE = Cure("save named arrays of numbers: np.savez(path, t=t, q=q, tau=tau)")
+
+
+def read_npz(path: Path) -> LogTable:
+    """Read the arrays of an `.npz` archive; pickled objects are refused, not executed.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no archive of arrays, or holds nothing that looks like a recording.
+    """
+    variables = {}
+    pickled = []
+    try:
+        _refuse_bombs(path)
+        archive = np.load(path, allow_pickle=False)
+        if isinstance(archive, np.ndarray):
+            raise RecordingError(
+                f"{path} holds one array of shape {archive.shape} without names",
+                cure=_SAVE,
+                file=str(path),
+            )
+        with archive:
+            for name in archive.files:
+                try:
+                    variables[name] = archive[name]
+                except ValueError as error:
+                    if "pickle" not in str(error):
+                        raise
+                    pickled.append(name)
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, RecordingError):
+            raise
+        raise RecordingError(
+            f"{path} is not a recording: NumPy cannot read it as an .npz archive ({reason(error)})",
+            cure=_SAVE,
+            file=str(path),
+        ) from error
+    if not variables:
+        why = (
+            f"its arrays are pickled objects ({', '.join(pickled)}), which are not read for safety"
+            if pickled
+            else "it holds no array"
+        )
+        raise RecordingError(f"{path} is not a recording: {why}", cure=_SAVE, file=str(path))
+    return table_from_variables(str(path), variables)
+
+
+def _refuse_bombs(path: Path) -> None:
+    """Raise `RecordingError` if an archive declares more than it may hold."""
+    if not zipfile.is_zipfile(path):
+        return
+    with zipfile.ZipFile(path) as archive:
+        declared = sum(member.file_size for member in archive.infolist())
+    most = LIMITS.memory_for(path.stat().st_size)
+    if declared > most:
+        raise RecordingError(
+            f"{path} declares {declared / 1e9:.3g} GB of arrays; at most {most / 1e9:.3g} GB are"
+            " read from a file of its size",
+            cure=Cure("save it without compression, or as Parquet, which is read in chunks"),
+            file=str(path),
+        )
+
+
+FORMATS.register(
+    "npz",
+    LogFormat(suffixes=(".npz",), read=lambda path, sheet: read_isolated(read_npz, path)),
+)
+
+
+DTYPES = {
+    "FloatStorage": "f4",
+    "DoubleStorage": "f8",
+    "HalfStorage": "f2",
+    "LongStorage": "i8",
+    "IntStorage": "i4",
+    "ShortStorage": "i2",
+    "CharStorage": "i1",
+    "ByteStorage": "u1",
+    "BoolStorage": "?",
+}
+"""Storages of PyTorch and their NumPy types."""
+SAVE = Cure("save a dict of tensors: torch.save({'time': t, 'dof_pos': q, 'des_dof_pos': u}, path)")
+
+
+def read_torch_archive(path: Path) -> LogTable:
+    """Read the tensors of a `.pt` file: a dict of vectors and matrices, such as PACE writes.
+
+    Nested dicts give names joined by an underscore.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no archive of tensors, or holds objects other than tensors, numbers and
+        texts, which are not read for safety.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            declared = sum(member.file_size for member in archive.infolist())
+            if declared > LIMITS.memory_for(path.stat().st_size):
+                raise RecordingError(
+                    f"{path} declares {declared / 1e9:.3g} GB of tensors", file=str(path)
+                )
+            content = _Content(archive).load()
+    except RecordingError:
+        raise
+    except Exception as error:  # a damaged pickle raises what it likes
+        raise RecordingError(
+            f"{path} is not a recording: it is no archive of tensors that torch.save wrote"
+            f" ({reason(error)})",
+            cure=SAVE,
+            file=str(path),
+        ) from error
+    if not isinstance(content, Mapping):
+        content = {"tensor": content}
+    return table_from_variables(str(path), dict(_flat(content)))
+
+
+class _Content(pickle.Unpickler):
+    """Read the structure of an archive; tensors become arrays, all else is refused."""
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        names = archive.namelist()
+        name = next((each for each in names if each.endswith("data.pkl")), None)
+        if name is None:
+            raise ValueError("it has no data.pkl")
+        super().__init__(io.BytesIO(archive.read(name)))
+        self._archive, self._root = archive, name.removesuffix("data.pkl")
+        order = f"{self._root}byteorder"
+        big = order in names and archive.read(order).strip() == b"big"
+        self._order: Literal["<", ">"] = ">" if big else "<"
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Return what stands for the few names that an archive of tensors needs."""
+        if (module, name) == ("collections", "OrderedDict"):
+            return OrderedDict
+        if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
+            return _tensor
+        if module in ("torch", "torch.storage") and name in DTYPES:
+            return DTYPES[name]
+        raise ValueError(f"it refers to {module}.{name}, which is not read for safety")
+
+    def persistent_load(self, pid: Any) -> Array:
+        """Return a storage as a vector."""
+        kind, dtype, key, _, count = pid
+        if kind != "storage" or not isinstance(dtype, str) or not str(key).isdigit():
+            raise ValueError(f"it holds a {kind!r} where a storage is expected")
+        data = self._archive.read(f"{self._root}data/{key}")
+        return np.frombuffer(data, dtype=np.dtype(dtype).newbyteorder(self._order), count=count)
+
+
+def _tensor(
+    storage: Array, offset: int, shape: Sequence[int], stride: Sequence[int], *_: Any
+) -> Array:
+    """Return the strided part of a storage that is a tensor, copied."""
+    if len(shape) != len(stride) or min((offset, *shape, *stride), default=0) < 0:
+        raise ValueError(f"a tensor has shape {shape} and strides {stride}")
+    size = int(np.prod(shape, dtype=object))
+    last = offset + sum((n - 1) * step for n, step in zip(shape, stride, strict=True))
+    if size > storage.size or (size and last >= storage.size):
+        raise ValueError(f"a tensor of shape {shape} exceeds its storage of {storage.size}")
+    step = storage.itemsize
+    view = np.lib.stride_tricks.as_strided(
+        storage[offset:], tuple(shape), tuple(step * each for each in stride), writeable=False
+    )
+    return np.array(view, dtype=np.float64)
+
+
+def _flat(content: Mapping[Any, Any], prefix: str = "") -> list[tuple[str, Array]]:
+    found = []
+    for key, value in content.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            found += _flat(value, f"{name}_")
+        elif isinstance(value, np.ndarray) or (
+            isinstance(value, list | tuple) and all(isinstance(each, int | float) for each in value)
+        ):
+            found.append((name, np.asarray(value, dtype=np.float64)))
+    return found
+
+
+FORMATS.register(
+    "torch",
+    LogFormat(
+        suffixes=(".pt", ".pth"), read=lambda path, sheet: read_isolated(read_torch_archive, path)
+    ),
+)
+
+
+def read_hdf5(path: Path) -> LogTable:
+    """Read every numeric dataset of an HDF5 file (also MATLAB 7.3).
+
+    Groups are searched, and a name is the last part of its path where that is unique.
+
+    Raises
+    ------
+    MissingExtraError
+        If h5py is not installed.
+    RecordingError
+        If the file is no HDF5 file or holds no numbers.
+    """
+    try:
+        import h5py  # noqa: PLC0415
+    except ImportError as error:
+        raise MissingExtraError("h5py", "hdf5", f"reading {path}") from error
+    variables: dict[str, Array] = {}
+
+    def refuse_link(name: str, link: Any) -> None:
+        if isinstance(link, h5py.ExternalLink):
+            raise _foreign(path, name, f"links to the file {link.filename!r}")
+
+    def visit(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            return
+        if item.is_virtual or item.external:
+            raise _foreign(path, name, "takes its values from other files")
+        if item.size and item.size * item.dtype.itemsize > LIMITS.memory_for(path.stat().st_size):
+            raise RecordingError(
+                f"{path}: the dataset {name!r} declares {item.size * item.dtype.itemsize:.3g}"
+                " bytes, too many for a file of its size",
+                file=str(path),
+            )
+        if item.dtype.names:
+            for field in item.dtype.names:
+                if np.issubdtype(item.dtype[field], np.number):
+                    variables[f"{name}/{field}"] = item[field]
+        elif np.issubdtype(item.dtype, np.number):
+            variables[name] = item[()]
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems_links(refuse_link)
+            file.visititems(visit)
+    except OSError as error:
+        raise RecordingError(
+            f"{path} is not a recording: it cannot be read as HDF5 ({error})", file=str(path)
+        ) from error
+    short = [name.rsplit("/", 1)[-1] for name in variables]
+    named = {
+        last if short.count(last) == 1 else name: value
+        for (name, value), last in zip(variables.items(), short, strict=True)
+    }
+    return table_from_variables(str(path), named)
+
+
+def _foreign(path: Path, name: str, why: str) -> RecordingError:
+    return RecordingError(
+        f"{path}: {name!r} {why}, which is refused",
+        cure=Cure("copy the values into one file, such as with h5repack"),
+        file=str(path),
+    )
+
+
+FORMATS.register(
+    "hdf5",
+    LogFormat(suffixes=(".h5", ".hdf5"), read=lambda path, sheet: read_isolated(read_hdf5, path)),
+)
+
+
+def read_mat(path: Path) -> LogTable:
+    """Read numeric variables of a `.mat` file, also inside structures.
+
+    Version 7.3 files are read as HDF5.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no MATLAB file or holds no numbers.
+    """
+    with path.open("rb") as file:
+        start = file.read(128)
+    if start.startswith(b"MATLAB 7.3") or start[1:4] == b"HDF":
+        return read_hdf5(path)
+    from scipy.io import loadmat  # noqa: PLC0415 - light start
+    from scipy.io.matlab import MatReadError  # noqa: PLC0415 - light start
+
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+    except (
+        MatReadError, ValueError, OSError, TypeError, NotImplementedError, IndexError
+    ) as error:  # fmt: skip
+        raise RecordingError(
+            f"{path} is not a recording: it cannot be read as a MATLAB file ({error})",
+            file=str(path),
+        ) from error
+    variables: dict[str, Array] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _collect(name, value, variables)
+    return table_from_variables(str(path), variables)
+
+
+def _collect(name: str, value: Any, variables: dict[str, Array]) -> None:
+    if hasattr(value, "_fieldnames"):
+        for field in value._fieldnames:
+            _collect(
+                field if field not in variables else f"{name}.{field}",
+                getattr(value, field),
+                variables,
+            )
+    elif isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number):
+        variables[name] = value
+
+
+FORMATS.register(
+    "matlab",
+    LogFormat(suffixes=(".mat",), read=lambda path, sheet: read_isolated(read_mat, path)),
+)

@@ -1,1 +1,0 @@
-"""MCAP files: records, and the messages that are joint states or JSON."""

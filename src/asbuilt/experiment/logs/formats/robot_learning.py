@@ -1,0 +1,300 @@
+"""Logs of robot learning: LeRobot datasets (v2 and v3) and motions of SAGE."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from asbuilt.arrays import Array
+from asbuilt.description.joint_matching import names_gripper
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.columns.joint_units import with_open_grippers
+from asbuilt.experiment.logs.formats.isolated import read_isolated
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogTable,
+    table_of_joints,
+)
+from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
+from asbuilt.findings import Cure
+from asbuilt.untrusted import check_regular, parsed_json, reason, shortened
+
+INFO = Path("meta") / "info.json"
+STATE, ACTION = "observation.state", "action"
+OTHERS = (".vel", ".acc", ".effort", ".torque", ".current", ".load", ".temp")
+"""Ends of features that are no positions; their units are not known either."""
+LARGEST = 1e9
+"""Bytes of the largest file of a dataset that is read; an hour at 1 kHz with 30 joints is 2e9."""
+
+
+def read_lerobot(path: Path) -> LogTable:
+    """Read states as positions and actions as commands of all episodes, one after another.
+
+    Raises
+    ------
+    RecordingError
+        If a file is missing or damaged, or state and action have other joints.
+    """
+    info = _info(path / INFO)
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise RecordingError(f"{path} has no Parquet file under data/", file=str(path))
+    frame = _frame(files)
+    if STATE not in frame:
+        raise RecordingError(
+            f"{path} has no feature {STATE!r}; it has {', '.join(frame.columns)}", file=str(path)
+        )
+    groups, left_out = list[tuple[str, str, Sequence[str], Array]](), list[str]()
+    for field, quantity in ((STATE, "position"), (ACTION, "command")):
+        if field not in frame:
+            continue
+        cells = _lists(path, field, frame[field])
+        names = _names(path, info, field, cells)
+        values = _matrix(path, field, cells, len(names))
+        kept = [k for k, name in enumerate(names) if not name.endswith(OTHERS)]
+        joints = [names[k].removesuffix(".pos").removeprefix("main_") for k in kept]
+        left_out += [f"{field} {name}" for name in names if name.endswith(OTHERS)]
+        groups.append((quantity, quantity, joints, values[:, kept]))
+    notes = [
+        "LeRobot datasets do not say their unit, degrees or -100 to 100 of the calibrated range:"
+        " it was taken from the recording sheet"
+    ]
+    if left_out:
+        notes.append(f"features that are no positions were left out: {', '.join(left_out)}")
+    return table_of_joints(str(path), _times(path, frame, info), groups, notes)
+
+
+def is_lerobot(path: Path) -> bool:
+    """Return whether a folder is a LeRobot dataset."""
+    return (path / INFO).is_file() and (path / "data").is_dir()
+
+
+def _info(path: Path) -> Mapping[str, Any]:
+    check_regular(path, "recording", RecordingError, LARGEST)
+    try:
+        info = parsed_json(path.read_bytes())
+        if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
+            raise ValueError("it has no object 'features'")
+        if not all(isinstance(each, dict) for each in info["features"].values()):
+            raise ValueError("a feature is no object")
+    except (ValueError, OSError) as error:
+        raise RecordingError(
+            f"{path} does not describe a LeRobot dataset ({reason(error)})", file=str(path)
+        ) from error
+    return info
+
+
+def _frame(files: Sequence[Path]) -> pl.DataFrame:
+    frames = []
+    for file in files:
+        check_regular(file, "recording", RecordingError, LARGEST)
+        try:
+            frames.append(pl.read_parquet(file))
+        except (pl.exceptions.PolarsError, OSError) as error:
+            raise RecordingError(
+                f"{file} cannot be read ({reason(error)})", file=str(file)
+            ) from None
+    together = pl.concat(frames, how="diagonal_relaxed")
+    order = [name for name in ("episode_index", "frame_index") if name in together.columns]
+    return together.sort(order) if order else together
+
+
+def _names(
+    path: Path, info: Mapping[str, Any], field: str, cells: Sequence[Any]
+) -> tuple[str, ...]:
+    """Return the names of the numbers of a feature."""
+    names = info["features"].get(field, {}).get("names")
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        first = next((row for row in cells if row is not None), ())
+        names = [f"joint_{k + 1}" for k in range(len(first))]
+    if not names:
+        raise RecordingError(f"{path} does not name the joints of {field}", file=str(path))
+    return tuple(names)
+
+
+def _times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
+    """Return one clock for all episodes, with gaps between them.
+
+    It is that of the time stamps, or without them that of the frames at `fps`.
+    """
+    stamps = pl.Series([None] * frame.height, dtype=pl.Float64)
+    if "timestamp" in frame.columns and frame["timestamp"].dtype.is_numeric():
+        stamps = frame["timestamp"].cast(pl.Float64)
+    if stamps.null_count() < frame.height:
+        t = stamps.to_numpy()
+    elif RATES.holds(info.get("fps")):
+        counted = "frame_index" if "frame_index" in frame.columns else None
+        frames = np.arange(frame.height) if counted is None else frame[counted].to_numpy()
+        t = frames / float(info["fps"])
+    else:
+        raise RecordingError(
+            f"{path} has no time: no time stamps, and no fps in {INFO} (a number {RATES})",
+            cure=Cure(f'write "fps" into {INFO}'),
+            file=str(path),
+            value=shortened(str(info.get("fps"))),
+        )
+    fresh = np.concatenate([[False], np.diff(t) <= 0.0])
+    # Time [s] between episodes, whose clocks each begin at zero.
+    before = np.concatenate([[0.0], np.where(fresh[1:], t[:-1] - t[1:] + 10.0, 0.0)])
+    return np.asarray(t + np.cumsum(before))
+
+
+def _lists(path: Path, field: str, cells: pl.Series) -> list[Any]:
+    """Return the rows of a feature; raises `RecordingError` unless they are lists of numbers."""
+    inner = getattr(cells.dtype, "inner", None)
+    if inner is None or not inner.is_numeric():
+        raise RecordingError(
+            f"{path}: {field} holds {cells.dtype}, not lists of numbers",
+            cure=Cure("export the dataset again"),
+            file=str(path),
+        )
+    return cells.to_list()
+
+
+def _matrix(path: Path, field: str, values: Sequence[Any], n_joints: int) -> Array:
+    if any(row is None or len(row) != n_joints for row in values):
+        raise RecordingError(
+            f"{path}: {field} does not hold {n_joints} numbers in every row",
+            cure=Cure("export the dataset again"),
+            file=str(path),
+            expected=n_joints,
+        )
+    return np.array(values, dtype=np.float64).reshape(len(values), n_joints)
+
+
+def _with_unit(table: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
+    """Return the table if its sheet says the units; raises `RecordingError` otherwise.
+
+    That of grippers, which is another one, is left to the joints that the robot has.
+    """
+    renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
+    positions = {
+        joint: table.columns[column]
+        for column, (quantity, joint) in table.known.items()
+        if quantity == "position" and not names_gripper(joint)
+    }
+    unsaid = [
+        joint
+        for joint in positions
+        if not {joint, renamed.get(joint, joint)} & set(sheet.joint_units)
+    ]
+    if sheet.units.position is None and unsaid:
+        largest = max(float(np.nanmax(np.abs(positions[joint]))) for joint in unsaid)
+        raise RecordingError(
+            f"the unit of the positions of {path} is not known: LeRobot logs degrees or -100 to"
+            f" 100 of the calibrated range (the largest of {', '.join(unsaid)} is {largest:.3g})",
+            cure=Cure(
+                'write [units] position = "deg" in a recording sheet; or, for -100 to 100, the'
+                f" positions [rad] at both ends for each joint: [joint_units] {unsaid[0]} ="
+                " { logged = [-100, 100], position = [LOWER, UPPER] }"
+            ),
+            file=str(path),
+            value=largest,
+        )
+    return with_open_grippers(table)
+
+
+FORMATS.register(
+    "lerobot",
+    LogFormat(
+        suffixes=(),
+        read=lambda path, sheet: _with_unit(read_isolated(read_lerobot, path), path, sheet),
+        folders=True,
+        recognises=is_lerobot,
+    ),
+)
+
+
+COMMANDS, STATES, NAMES = "control.csv", "state_motor.csv", "joint_list.txt"
+MICROSECOND = 1e-6
+QUANTITIES = {"positions": "position", "velocities": "velocity", "torques": "torque"}
+
+
+def read_sage(path: Path) -> LogTable:
+    """Read a motion that SAGE logged (isaac-sim2real/sage): lists in cells, times in microseconds.
+
+    The command at the time of a state is the last one sent until then.
+
+    Raises
+    ------
+    RecordingError
+        If a file is missing or damaged, or its lists are not one number per joint.
+    """
+    names = _joint_names(path / NAMES)
+    t, states = _listed_cells(path / STATES, tuple(QUANTITIES), len(names))
+    sent, commands = _listed_cells(path / COMMANDS, ("positions",), len(names))
+    last = np.searchsorted(sent, t, side="right") - 1
+    before = int(np.count_nonzero(last < 0))
+    groups = {QUANTITIES[field]: values for field, values in states.items()}
+    groups["command"] = commands["positions"][np.maximum(last, 0)]
+    listed = [(quantity, quantity, names, values) for quantity, values in groups.items()]
+    notes = (f"{before} states before the first command count as commanded like it",)
+    return table_of_joints(str(path), t * MICROSECOND, listed, notes if before else ())
+
+
+def is_sage(path: Path) -> bool:
+    """Return whether a folder is a motion of SAGE."""
+    return all((path / name).is_file() for name in (COMMANDS, STATES, NAMES))
+
+
+def _joint_names(path: Path) -> tuple[str, ...]:
+    check_regular(path, "recording", RecordingError, LARGEST)
+    names = tuple(line.strip() for line in path.read_text("utf-8", "replace").splitlines())
+    names = tuple(name for name in names if name)
+    if not names:
+        raise RecordingError(f"{path} names no joint", file=str(path))
+    return names
+
+
+def _listed_cells(
+    path: Path, fields: tuple[str, ...], n_joints: int
+) -> tuple[Array, dict[str, Array]]:
+    """Return the times and the lists (N, n) of the fields that a file has."""
+    check_regular(path, "recording", RecordingError, LARGEST)
+    try:
+        frame = pl.read_csv(path, infer_schema=False)
+        t = frame["timestamp"].cast(pl.Float64).to_numpy()
+        return t, {
+            name: _numbers(path, name, frame[name].to_list(), n_joints)
+            for name in fields
+            if name in frame.columns
+        }
+    except (pl.exceptions.PolarsError, ValueError, TypeError) as error:
+        raise RecordingError(
+            f"{path} is not a recording of SAGE ({reason(error)})",
+            cure=Cure("export the motion again"),
+            file=str(path),
+        ) from error
+
+
+def _numbers(path: Path, field: str, cells: list[str | None], n_joints: int) -> Array:
+    values = json.loads(f"[{','.join(cell or 'null' for cell in cells)}]")
+    for row, cell in enumerate(values):
+        if not isinstance(cell, list) or len(cell) != n_joints:
+            raise RecordingError(
+                f"{path}: {field} in data row {row + 1} is {str(cell)[:60]}; expected a list of"
+                f" {n_joints} numbers",
+                file=str(path),
+                value=row + 1,
+                expected=n_joints,
+            )
+    return np.array(values, dtype=np.float64).reshape(len(cells), n_joints)
+
+
+FORMATS.register(
+    "sage",
+    LogFormat(
+        suffixes=(),
+        read=lambda path, sheet: with_open_grippers(read_isolated(read_sage, path)),
+        folders=True,
+        recognises=is_sage,
+    ),
+)

@@ -1,1 +1,0 @@
-"""Log formats of robot learning."""

@@ -1,0 +1,368 @@
+"""Two passes over a recording: statistics of every sample, then segments and torque extremes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices, Mask, any_of
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.quality.reductions import Exceedance, Extremes, PositionMoments
+from asbuilt.experiment.recording import Recording, median_rate, time_span
+from asbuilt.experiment.signal.noise.spikes import Spikes, find_spikes
+from asbuilt.findings import Cure
+
+CREDIBLE = {
+    "position": 1e6,
+    "command": 1e6,
+    "torque": 1e9,
+    "velocity": 1e6,
+    "acceleration": 1e9,
+    "second encoder": 1e6,
+}
+"""Largest value that any robot could log, in any unit of the quantity."""
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """Hold the rows in which one column has no usable number, and the value in the first."""
+
+    quantity: str
+    joint: int
+    rows: Indices
+    first: float
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPass:
+    """Hold statistics over all samples of a recording.
+
+    Parameters
+    ----------
+    first
+        The first chunk as logged, its joints in the order of the model.
+    t
+        Times [s], shape (N,).
+    not_repeated
+        Whether position or torque differ from the sample before, shape (N,).
+    valid_torque
+        Whether time and torques are finite, shape (N,).
+    valid
+        Whether positions and, if logged, velocities are finite too, shape (N,).
+    missing
+        Columns with values that are not finite or that no robot could log.
+    position_range, torque_range
+        Extremes of the positions, and of the torques that are not repeated.
+    moments
+        Moments of the positions.
+    spikes
+        Single torques that stand out from their neighbours.
+    outside_limits, saturated
+        Positions outside the limits of the model, and torques that reach theirs.
+    """
+
+    first: Recording
+    n_chunks: int
+    t: Array
+    not_repeated: Mask
+    valid_torque: Mask
+    valid: Mask
+    missing: tuple[Missing, ...]
+    position_range: Extremes
+    moments: PositionMoments
+    outside_limits: Exceedance
+    torque_range: Extremes
+    saturated: Exceedance
+    spikes: tuple[Spikes, ...] = ()
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return int(self.t.size)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return self.first.n_joints
+
+    @property
+    def rate(self) -> float:
+        """Inverse of the median positive time step [Hz]; NaN if there is none."""
+        return median_rate(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Time from the earliest to the latest sample [s]."""
+        return time_span(self.t)
+
+
+def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
+    """Read the consecutive chunks of a recording once (a recording in memory is one chunk).
+
+    Raises
+    ------
+    RecordingError
+        If there is no chunk, or the joints are not those of the model.
+    """
+    n = model.n_joints
+    lower, upper = position_limits(model)
+    # Share of its limit from which a torque counts as saturated.
+    full = 0.99 * np.array([joint.limits.torque for joint in model.joints])
+    positions, torques, moments = Extremes.none(n), Extremes.none(n), PositionMoments.none(n)
+    outside, saturated = Exceedance.none(n), Exceedance.none(n)
+    times, flags, missing, spikes = [], [], list[Missing](), list[Spikes]()
+    first = last = None
+    begin = 0
+    for logged in chunks:
+        chunk = as_modelled(model, logged)
+        first = first or chunk
+        chunk = chunk.with_torque_of(first.has_torque)
+        not_repeated = _not_repeated(chunk, last)
+        missing += _missing(chunk, begin)
+        last, chunk = chunk, credible(chunk)
+        q, tau = chunk.q, chunk.tau
+        valid_torque = np.isfinite(chunk.t) & ~any_of(~np.isfinite(tau))
+        valid = valid_torque & ~any_of(~np.isfinite(q))
+        if chunk.qd is not None:
+            valid &= ~any_of(~np.isfinite(chunk.qd))
+        times.append(np.array(chunk.t))
+        flags.append(np.stack([not_repeated, valid_torque, valid]))
+        rows = np.arange(begin, begin + chunk.n_samples)
+        if chunk.torque_source != "command":
+            found = find_spikes(tau, not_repeated)
+            spikes += [replace(each, rows=begin + each.rows) for each in found]
+        excess = np.maximum(lower - q, q - upper)
+        size = np.abs(tau[not_repeated])
+        positions, moments = positions.with_more(q), moments.with_more(q)
+        torques = torques.with_more(tau[not_repeated])
+        # Distance beyond its limits [rad or m] at which a joint counts as outside them.
+        outside = outside.with_more(excess, excess > 0.01, q, rows)
+        saturated = saturated.with_more(size, size >= full, tau[not_repeated], rows[not_repeated])
+        begin += chunk.n_samples
+    if first is None:
+        raise RecordingError("the recording holds no samples")
+    not_repeated, valid_torque, valid = np.concatenate(flags, axis=1)
+    return FirstPass(
+        first=first,
+        n_chunks=len(times),
+        t=np.concatenate(times),
+        not_repeated=not_repeated,
+        valid_torque=valid_torque,
+        valid=valid,
+        missing=_merged(missing),
+        position_range=positions,
+        moments=moments,
+        outside_limits=outside,
+        torque_range=torques,
+        saturated=saturated,
+        spikes=tuple(spikes),
+    )
+
+
+def as_modelled(model: RobotModel, recording: Recording) -> Recording:
+    """Return the recording with its joints in the order of the model.
+
+    Raises
+    ------
+    RecordingError
+        If the joints are not those of the model.
+    """
+    if recording.n_joints != model.n_joints:
+        raise RecordingError(
+            f"{recording.source} has {recording.n_joints} joints"
+            f" ({', '.join(recording.joint_names)}) but {model.name} has {model.n_joints}"
+            f" ({', '.join(model.joint_names)})",
+            cure=Cure(
+                "choose the robot that was recorded, or read the recording with its model",
+                call="read_recording",
+            ),
+            file=recording.source,
+            value=recording.n_joints,
+            expected=model.n_joints,
+        )
+    if recording.joint_names != model.joint_names and set(recording.joint_names) == set(
+        model.joint_names
+    ):
+        return recording.reordered(model.joint_names)
+    return recording
+
+
+def credible(recording: Recording) -> Recording:
+    """Return the recording with NaN in place of values that no robot could log."""
+
+    def cleaned(what: str, values: Array) -> Array:
+        return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)
+
+    if not any(
+        np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what]
+        for what, values in _quantities(recording)
+    ):
+        return recording
+    return replace(
+        recording,
+        q=cleaned("position", recording.q),
+        tau=cleaned("torque", recording.tau),
+        qd=None if recording.qd is None else cleaned("velocity", recording.qd),
+        qdd=None if recording.qdd is None else cleaned("acceleration", recording.qdd),
+    )
+
+
+def _quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
+    """Yield what was logged; torques of a servo are computed from its command."""
+    yield "position", recording.q
+    if recording.servo is not None and recording.command is not None:
+        yield "command", recording.command
+    else:
+        yield "torque", recording.tau
+    if recording.qd is not None:
+        yield "velocity", recording.qd
+    if recording.qdd is not None:
+        yield "acceleration", recording.qdd
+
+
+def position_limits(model: RobotModel) -> tuple[Array, Array]:
+    """Return the lower and upper limits of the positions [rad or m], each (n,)."""
+    endless = [joint.kind == "continuous" for joint in model.joints]
+    lower = np.where(endless, -np.inf, [joint.limits.lower for joint in model.joints])
+    return lower, np.where(endless, np.inf, [joint.limits.upper for joint in model.joints])
+
+
+def _not_repeated(chunk: Recording, before: Recording | None) -> Mask:
+    """Return which samples differ from the one before, the first from the last of `before`."""
+    changed = any_of(np.diff(chunk.q, axis=0) != 0) | any_of(np.diff(chunk.tau, axis=0) != 0)
+    first = before is None or bool(
+        np.any(chunk.q[0] != before.q[-1]) or np.any(chunk.tau[0] != before.tau[-1])
+    )
+    return np.concatenate([[first], changed])
+
+
+def _missing(chunk: Recording, begin: int) -> Iterator[Missing]:
+    for what, values in _with_second_encoder(chunk):
+        bad = ~(np.abs(values) <= CREDIBLE[what])
+        for k in np.flatnonzero(bad.any(axis=0)).tolist():
+            rows = np.flatnonzero(bad[:, k])
+            yield Missing(what, k, begin + rows, float(values[rows[0], k]))
+
+
+def _with_second_encoder(chunk: Recording) -> Iterator[tuple[str, Array]]:
+    """Yield what was logged, and a second encoder, which joints may be without."""
+    yield from _quantities(chunk)
+    if chunk.second_encoder is not None:
+        positions = chunk.second_encoder[1]
+        yield "second encoder", np.where(np.isnan(positions), 0.0, positions)
+
+
+def _merged(missing: list[Missing]) -> tuple[Missing, ...]:
+    """Return one entry per column, quantity by quantity."""
+    found: dict[tuple[int, int], list[Missing]] = {}
+    for each in missing:
+        found.setdefault((list(CREDIBLE).index(each.quantity), each.joint), []).append(each)
+    return tuple(
+        replace(parts[0], rows=np.concatenate([part.rows for part in parts]))
+        for _, parts in sorted(found.items(), key=lambda item: item[0])
+    )
+
+
+_NEAR = 0.05
+"""Distance from an extreme, as a share of the torque range, that counts as near it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plateau:
+    """Hold how often a torque is at one of its extremes, and how often near it.
+
+    `places` are indices among the torques that are not repeated; `near` are the different values
+    near the extreme.
+    """
+
+    extreme: float
+    width: float
+    places: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    n_near: int = 0
+    near: Array = field(default_factory=lambda: np.zeros(0))
+
+    def with_more(self, values: Array, begin: int) -> Plateau:
+        """Include further torques (N,), the first of which has the index `begin`."""
+        near = values[np.abs(values - self.extreme) < self.width]
+        places = begin + np.flatnonzero(values == self.extreme)
+        return replace(
+            self,
+            places=np.append(self.places, places),
+            n_near=self.n_near + near.size,
+            near=np.union1d(self.near, near) if near.size else self.near,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SecondPass:
+    """Hold the samples of chosen segments, the torques for spectra, and the plateaus of each joint.
+
+    A joint whose torque hardly varies has no plateaus, others one at each extreme.
+    """
+
+    segments: tuple[Recording, ...]
+    torques: tuple[Array, ...]
+    plateaus: tuple[tuple[Plateau, ...], ...]
+
+
+def second_pass(
+    model: RobotModel, chunks: Iterable[Recording], known: FirstPass, rows: Sequence[Indices]
+) -> SecondPass:
+    """Read the chunks again for segments of consecutive `rows` and for torques at their extremes.
+
+    The torques for spectra are all of those of one chunk, else those of the segments.
+    """
+    plateaus = [_plateaus(known, k) for k in range(known.n_joints)]
+    parts: list[list[Recording]] = [[] for _ in rows]
+    torques: list[Array] = []
+    begin = place = 0
+    for logged in chunks:
+        chunk = credible(as_modelled(model, logged).with_torque_of(known.first.has_torque))
+        stop = begin + chunk.n_samples
+        changed = chunk.tau[known.not_repeated[begin:stop]]
+        plateaus = [
+            tuple(each.with_more(changed[:, k], place) for each in both)
+            for k, both in enumerate(plateaus)
+        ]
+        for wanted, part in zip(rows, parts, strict=True):
+            here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
+            if here.size:
+                part.append(_copied(chunk, here - begin))
+        if known.n_chunks == 1:
+            torques.append(chunk.tau[known.valid_torque])
+        begin, place = stop, place + len(changed)
+    segments = tuple(_joined(part) for part in parts)
+    return SecondPass(
+        segments, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
+    )
+
+
+def _plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
+    low, high = float(known.torque_range.low[joint]), float(known.torque_range.high[joint])
+    # Number of torques that are not repeated below which there is no plateau.
+    if known.torque_range.count[joint] < 20 or high == low:
+        return ()
+    return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))
+
+
+def _copied(chunk: Recording, rows: Indices) -> Recording:
+    return Recording(
+        t=chunk.t[rows],
+        q=chunk.q[rows],
+        tau=chunk.tau[rows],
+        qd=None if chunk.qd is None else chunk.qd[rows],
+        joint_names=chunk.joint_names,
+        source=chunk.source,
+    )
+
+
+def _joined(parts: Sequence[Recording]) -> Recording:
+    t, q, tau = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "tau")
+    )
+    logged = [part.qd for part in parts if part.qd is not None]
+    qd = np.concatenate(logged) if len(logged) == len(parts) else None
+    return replace(parts[0], t=t, q=q, tau=tau, qd=qd)

@@ -1,0 +1,222 @@
+"""What checks reduce a recording to: running statistics of all samples, smoothed segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+from scipy.linalg import lstsq
+
+from asbuilt.arrays import Array, Indices, Mask
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.parallel_filter import filtered_rows
+
+IN_STEP = 0.995
+"""Correlation of positions from which joints move in step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extremes:
+    """Hold count, lowest and highest finite value of each column, all (n,); infinite if none."""
+
+    count: Indices
+    low: Array
+    high: Array
+
+    @classmethod
+    def none(cls, n: int) -> Extremes:
+        """Return the statistics of no sample."""
+        return cls(np.zeros(n, dtype=np.int64), np.full(n, np.inf), np.full(n, -np.inf))
+
+    def with_more(self, values: Array) -> Extremes:
+        """Include further values (N, n); those that are not finite do not count."""
+        finite = np.isfinite(values)
+        return Extremes(
+            self.count + finite.sum(axis=0),
+            np.minimum(self.low, values.min(axis=0, where=finite, initial=np.inf)),
+            np.maximum(self.high, values.max(axis=0, where=finite, initial=-np.inf)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Exceedance:
+    """Hold for each column how many samples exceed a bound, and amount, value and row of the worst.
+
+    All are (n,).
+    """
+
+    count: Indices
+    amount: Array
+    value: Array
+    row: Indices
+
+    @classmethod
+    def none(cls, n: int) -> Exceedance:
+        """Return the statistics of no sample."""
+        zeros = np.zeros(n, dtype=np.int64)
+        return cls(zeros, np.full(n, -np.inf), np.full(n, np.nan), zeros)
+
+    def with_more(self, amount: Array, exceeds: Mask, value: Array, rows: Indices) -> Exceedance:
+        """Include amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
+        if not len(rows):
+            return self
+        amount = np.where(np.isnan(amount), -np.inf, amount)
+        place, columns = np.argmax(amount, axis=0), np.arange(amount.shape[1])
+        worst = amount[place, columns]
+        worse = worst > self.amount
+        return Exceedance(
+            self.count + exceeds.sum(axis=0),
+            np.where(worse, worst, self.amount),
+            np.where(worse, value[place, columns], self.value),
+            np.where(worse, rows[place], self.row),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PositionMoments:
+    """Hold first and second moments of complete samples of positions, about the first of them.
+
+    `about` and `total` are (n,), `products` (n, n).
+    """
+
+    n_samples: int
+    about: Array
+    total: Array
+    products: Array
+
+    @classmethod
+    def none(cls, n: int) -> PositionMoments:
+        """Return the moments of no sample."""
+        return cls(0, np.zeros(n), np.zeros(n), np.zeros((n, n)))
+
+    def with_more(self, q: Array) -> PositionMoments:
+        """Include further positions (N, n); rows with a value that is not finite do not count."""
+        complete = q[np.all(np.isfinite(q), axis=1)]
+        if not len(complete):
+            return self
+        about = self.about if self.n_samples else complete[0]
+        apart = complete - about
+        return PositionMoments(
+            self.n_samples + len(complete),
+            about,
+            self.total + apart.sum(axis=0),
+            self.products + apart.T @ apart,
+        )
+
+    @property
+    def moving(self) -> list[int]:
+        """Joints whose position varies."""
+        return [int(k) for k in np.flatnonzero(np.diag(self.products) > 0.0)]
+
+    def correlations(self, joints: list[int]) -> Array:
+        """Return the correlation coefficients of the positions of joints that move."""
+        mean = self.total[joints] / self.n_samples
+        covariance = self.products[np.ix_(joints, joints)] / self.n_samples - np.outer(mean, mean)
+        size = np.sqrt(np.diag(covariance))
+        return np.asarray(np.clip(covariance / np.outer(size, size), -1.0, 1.0))
+
+
+GAP_STEPS = 5.0
+"""Multiple of the median time step from which a step is a gap."""
+_SEGMENT_SAMPLES, _MOST_SEGMENTS = 4000, 12
+"""Samples per segment and number of segments; more do not change a finding."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedMotion:
+    """Hold uniformly sampled segments of a recording, one after another, at `rate` [Hz].
+
+    `q`, `qd`, `qdd`, `tau` and, if velocities were logged, `logged_qd` are (N, n).
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    logged_qd: Array | None
+    rate: float
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples in all segments."""
+        return int(self.q.shape[0])
+
+    def thinned(self, most: int) -> Indices:
+        """Return the indices of about `most` samples at most, evenly spread."""
+        return np.arange(0, self.n_samples, max(1, self.n_samples // most), dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class UniformSegments:
+    """Hold the rows of each segment to smooth, the clock's step [s], and the window length."""
+
+    rows: tuple[Indices, ...]
+    step: float
+    window: int
+
+    @classmethod
+    def of(cls, t: Array, valid: Mask) -> UniformSegments | None:
+        """Choose a dozen segments at most between gaps; None if none is long enough."""
+        rows = np.flatnonzero(valid)
+        t = t[rows]
+        if not np.all(np.diff(t) > 0):
+            t, first = np.unique(t, return_index=True)
+            rows = rows[first]
+        if t.size < 20:
+            return None
+        steps = np.diff(t)
+        step = float(np.median(steps))
+        # 0.15: width of the smoothing [s].
+        window = max(5, int(0.15 / step) | 1)
+        breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
+        bounds = [
+            (a, min(a + _SEGMENT_SAMPLES, stop))
+            for start, stop in zip([0, *breaks], [*breaks, t.size], strict=True)
+            if stop - start > 2 * window
+            for a in range(start, stop, _SEGMENT_SAMPLES)
+        ]
+        bounds = [(a, b) for a, b in bounds if b - a > 2 * window]
+        if len(bounds) > _MOST_SEGMENTS:
+            bounds = [
+                bounds[k] for k in np.linspace(0, len(bounds) - 1, _MOST_SEGMENTS).astype(int)
+            ]
+        return cls(tuple(rows[a:b] for a, b in bounds), step, window) if bounds else None
+
+
+def smoothed_motion(segments: UniformSegments, logged: Sequence[Recording]) -> SmoothedMotion:
+    """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964).
+
+    `logged` are the samples of each segment. Derivatives are summed by parts, over steps in place
+    of values, so that a joint at rest has a velocity of exactly 0.
+    """
+    window, step = segments.window, segments.step
+    value, *slopes = _cubic(window, step)
+    of_steps = [-np.cumsum(taps)[:-1] for taps in slopes]
+    smooth: list[list[Array]] = []
+    for part in logged:
+        columns = [part.q, part.tau] + ([part.qd] if part.qd is not None else [])
+        even = np.arange(part.t[0], part.t[-1], step)
+        q, *rest = [_resampled(even, part.t, values) for values in columns]
+        steps = np.diff(q, axis=1)
+        derivatives = [filtered_rows(q, value), *(filtered_rows(steps, each) for each in of_steps)]
+        others = [filtered_rows(values, value) for values in rest]
+        smooth.append([values.T for values in (*derivatives, *others)])
+    q, qd, qdd, tau, *measured = [np.concatenate(parts) for parts in zip(*smooth, strict=True)]
+    return SmoothedMotion(q, qd, qdd, tau, measured[0] if measured else None, 1.0 / step)
+
+
+def _cubic(window: int, step: float) -> list[Array]:
+    """Return the taps of value, slope and curvature of the cubic that fits a window best.
+
+    As `scipy.signal.savgol_coeffs`, whose package takes long to import.
+    """
+    powers = np.arange(window, dtype=np.float64) - window // 2
+    A = powers ** np.arange(4.0)[:, None]
+    return [lstsq(A, np.eye(4)[k] * factorial(k) / step**k)[0] for k in range(3)]
+
+
+def _resampled(even: Array, t: Array, values: Array) -> Array:
+    """Return the columns of values (L, n) at the times `even` (N,) as rows (n, N)."""
+    return np.array([np.interp(even, t, column) for column in np.ascontiguousarray(values.T)])

@@ -1,0 +1,314 @@
+"""Conventions of the log that the torques show: direction of gravity, signs and zeros of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import USUAL_GRAVITY
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.experiment.quality.passes import position_limits
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
+from asbuilt.findings import Cure, Finding, joined
+
+QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
+"""Zero positions [rad] by which the conventions of two makers differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConventionThresholds:
+    """Decide from correlations of measured with rigid-body torques, and the misfit's logarithm."""
+
+    doubtful: float = 0.75
+    """Correlation of each joint from which conventions are not doubted."""
+    clear: float = 0.9
+    """Mean correlation that the joints must reach that another convention fits better."""
+    fall: float = 2.0
+    """Fall of the misfit's logarithm, summed over joints, from which a convention is decisive."""
+    beyond: float = 0.02
+    """Share of positions outside the limits from which a joint leaves them."""
+    kept: int = 5
+    """Number of conventions to which another joint is added."""
+    near: float = 1.0
+    """Difference of that sum below which another convention fits about as well."""
+
+
+THRESHOLDS = ConventionThresholds()
+
+
+@dataclass(frozen=True, eq=False)
+class Conventions:
+    """Hold a fit and the convention of each joint in it.
+
+    The position in the model is `position_sign (logged - zero)`, the torque `torque_sign` times the
+    logged one; all are of shape (n,).
+    """
+
+    fit: TorqueFit
+    position_sign: Array
+    torque_sign: Array
+    zero: Array
+
+    @classmethod
+    def as_logged(cls, fit: TorqueFit) -> Conventions:
+        """Return the conventions of the description for every joint."""
+        n = fit.model.n_joints
+        return cls(fit, np.ones(n), np.ones(n), np.zeros(n))
+
+    @property
+    def changed(self) -> list[int]:
+        """Joints whose convention is not the description's."""
+        other = (self.position_sign < 0.0) | (self.torque_sign < 0.0) | (self.zero != 0.0)
+        return [int(k) for k in np.flatnonzero(other)]
+
+    @cached_property
+    def cost(self) -> float:
+        """Misfit of the torques; a changed joint, and one beyond its limits, must be worth it."""
+        return self.fit.cost + THRESHOLDS.fall * (len(self.changed) + _joints_beyond(self.fit))
+
+    @property
+    def key(self) -> tuple[bytes, ...]:
+        """What distinguishes conventions, in whichever order they were reached."""
+        return tuple(each.tobytes() for each in (self.position_sign, self.torque_sign, self.zero))
+
+    def with_joint(self, k: int, position: float, torque: float, zero: float) -> Conventions:
+        """Return these conventions with joint k multiplied by two signs, from another zero."""
+        fit = self.fit
+        q, qd, qdd, tau = (np.array(each) for each in (fit.q, fit.qd, fit.qdd, fit.tau))
+        moved, pulled = fit.motion_of[k], fit.torque_of[k]
+        q[:, moved] = position * (q[:, moved] - zero)
+        qd[:, moved] *= position
+        qdd[:, moved] *= position
+        tau[:, pulled] *= torque
+        signs, torques, zeros = (
+            np.array(each) for each in (self.position_sign, self.torque_sign, self.zero)
+        )
+        signs[k], torques[k], zeros[k] = position, torque, zero
+        return Conventions(replace(fit, q=q, qd=qd, qdd=qdd, tau=tau), signs, torques, zeros)
+
+    def changes(self) -> Iterator[Conventions]:
+        """Yield the conventions with one more joint changed; a torque alone is another check's."""
+        for k, joint in enumerate(self.fit.model.joints):
+            if k in self.changed:
+                continue
+            zeros = QUARTERS if joint.is_revolute else QUARTERS[:1]
+            for position, torque, zero in product((1.0, -1.0), (1.0, -1.0), zeros):
+                if position < 0.0 or zero != 0.0:
+                    yield self.with_joint(k, position, torque, zero)
+
+
+def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
+    """Return a finding, and the fit that it explains, if other conventions fit the torques.
+
+    Directions, and zeros by quarters of a turn, are tried for one joint more as long as the misfit
+    falls decisively, and positions keep their limits. Small errors of a zero are those of
+    `asbuilt.identification.effects`.
+    """
+    if not np.any(np.abs(fit.correlation[fit.decides]) < THRESHOLDS.doubtful):
+        return None
+    logged = best = Conventions.as_logged(fit)
+    front, near = [logged], []
+    for _ in range(fit.model.n_joints):
+        changes = {change.key: change for each in front for change in each.changes()}
+        front = sorted(changes.values(), key=lambda each: each.cost)[: THRESHOLDS.kept]
+        if not front or front[0].cost > best.cost:
+            break
+        best = front[0]
+        limit = best.cost + THRESHOLDS.near
+        near = [each for each in front[1:] if each.cost < limit]
+    fallen = _fallen(fit, best.fit)
+    if best is logged or not fallen.size:
+        return None
+    before, after = (float(np.mean(np.abs(each.correlation[fallen]))) for each in (fit, best.fit))
+    if after <= THRESHOLDS.clear:
+        return None
+    others = " or ".join(_text(each, each.changed) for each in near)
+    return (
+        Finding(
+            "joint_convention",
+            "error",
+            f"the log follows another convention than the description: {_text(best, best.changed)}"
+            f" (mean correlation with the model's torque {after:.3f} instead of {before:.3f})"
+            + (f"; as likely: {others}" if others else ""),
+            _cure(best),
+            joint=fit.model.joint_names[best.changed[0]],
+        ),
+        best.fit,
+    )
+
+
+def _joints_beyond(fit: TorqueFit) -> int:
+    """Return how many joints leave their limits, wherever their full turns are counted from."""
+    lower, upper = position_limits(fit.model)
+    turn = np.where([joint.is_revolute for joint in fit.model.joints], 2.0 * np.pi, 0.0)
+    q = fit.q[:, list(fit.motion_of)]
+    shares = [np.mean((q + n * turn < lower) | (q + n * turn > upper), axis=0) for n in (-1, 0, 1)]
+    return int(np.count_nonzero(np.min(shares, axis=0) > THRESHOLDS.beyond))
+
+
+def _fallen(before: TorqueFit, after: TorqueFit) -> Indices:
+    """Return the joints (k,) whose misfit has fallen to less than half."""
+    least = [np.minimum(each.misfit(1), each.misfit(-1)) for each in (before, after)]
+    return np.flatnonzero(after.decides & (least[1] < 0.5 * least[0]))
+
+
+def _text(conventions: Conventions, joints: Sequence[int]) -> str:
+    names = conventions.fit.model.joint_names
+    said = []
+    for k in joints:
+        what = []
+        if conventions.position_sign[k] < 0.0 and conventions.torque_sign[k] < 0.0:
+            what.append("turns the other way, position and torque")
+        elif conventions.position_sign[k] < 0.0:
+            what.append("has the opposite sign of position")
+        elif conventions.torque_sign[k] < 0.0:
+            what.append("has the opposite sign of torque")
+        if conventions.zero[k] != 0.0:
+            degrees = np.degrees(conventions.zero[k])
+            what.append(f"reads {degrees:.0f} deg where the description has zero")
+        said.append(f"{names[k]} {' and '.join(what)}")
+    return joined(said)
+
+
+def _cure(conventions: Conventions) -> Cure:
+    fields = {
+        "position_sign": conventions.position_sign,
+        "sign": conventions.torque_sign,
+        "zero": conventions.zero,
+    }
+    written = [
+        f"{name} = [{', '.join(f'{value:.6g}' for value in values)}]"
+        for name, values in fields.items()
+        if np.any(values != (0.0 if name == "zero" else 1.0))
+    ]
+    return Cure(
+        "compare zero and direction of these joints with the robot's; if so, write"
+        f" {', '.join(written)} in a recording sheet"
+    )
+
+
+FREE_FALL = float(np.linalg.norm(USUAL_GRAVITY))
+AXES = {
+    f"{sign}{axis}": factor * FREE_FALL * np.eye(3)[k]
+    for k, axis in enumerate("xyz")
+    for sign, factor in (("+", 1.0), ("-", -1.0))
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GravityThresholds:
+    """Decide from cosines of measured with rigid-body torques, over all samples and joints.
+
+    In recordings of seven real robots the cosine is at least 0.92 in the right direction, and at
+    most 0.69 in directions across it.
+    """
+
+    doubtful: float = 0.75
+    """Cosine in the described direction from which it is not doubted."""
+    clear: float = 0.9
+    """Least cosine in another direction that is right."""
+    oblique: float = 0.97
+    """Least cosine in a direction that is no axis."""
+    friction: float = 0.5
+    """Mean correlation of torques with the directions of motion that shows their sign."""
+    fall: float = 2.0
+    """Fall of the misfit's logarithm, summed over joints, from which a robot is upside down, and
+    its torque not flipped, by its inertia alone."""
+
+
+GRAVITY = GravityThresholds()
+
+
+def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
+    """Return a finding and the gravity (3,) [m/s^2] if the torques show another direction.
+
+    The torques without gravity and those of gravity along each axis are compared with the measured
+    ones, offset and friction taken out of all. The sign of friction distinguishes a flipped torque
+    from a robot upside down; without it, torques that gravity does not dominate do. If they do
+    not decide, the torque is taken as flipped. A description without gravity is doubted where the
+    torques show some.
+    """
+    given = np.asarray(fit.model.gravity)
+    cosines = _Cosines.of(fit)
+    now = cosines.at(given)
+    if now > GRAVITY.doubtful:
+        return None
+    along = max((np.asarray(axis) for axis in AXES.values()), key=cosines.at)
+    if max(-now, cosines.at(along)) < GRAVITY.clear:
+        along = cosines.estimated()
+        if cosines.at(along) < GRAVITY.oblique:
+            return None
+    elif -now > GRAVITY.clear:
+        along = -given
+    if not along.any():
+        return None
+    mounted = replace(fit, model=fit.model.with_gravity(along))
+    sign = _friction_sign(mounted)
+    parallel = abs(float(given @ along)) > 0.99 * float(np.linalg.norm(given)) * FREE_FALL
+    if parallel and (sign < 0.0 or (sign == 0.0 and mounted.cost > fit.cost - GRAVITY.fall)):
+        return None
+    gravity = along if sign >= 0.0 else -along
+    cosine = abs(cosines.at(along))
+    name = next((each for each, axis in AXES.items() if np.array_equal(axis, gravity)), "")
+    name = name or ",".join(f"{g:.3g}" for g in gravity)
+    direction = ", ".join(f"{g:.3g}" for g in given)
+    finding = Finding(
+        "gravity_direction",
+        "error",
+        f"gravity is ({direction}) m/s^2 in the root frame of {fit.model.name}, but the torques fit"
+        f" {name} (cosine with the model's torque {cosine:.3f} instead of {now:.3f}), as of a robot"
+        " mounted in another way than its description",
+        Cure("give the direction of gravity", settings={"gravity": name}),
+    )
+    return finding, gravity
+
+
+def _friction_sign(fit: TorqueFit) -> float:
+    """Return the sign of the torques that friction of most joints shows, 0 if it shows none."""
+    friction = fit.friction_correlation
+    shown = friction[friction != 0.0]
+    mean = float(np.mean(shown)) if 2 * shown.size > friction.size else 0.0
+    return float(np.sign(mean)) if abs(mean) > GRAVITY.friction else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Cosines:
+    """Hold torques (N, n): measured, modelled without gravity, and of gravity of 1 m/s^2 (3)."""
+
+    measured: Array
+    motion: Array
+    gravity: tuple[Array, Array, Array]
+
+    @classmethod
+    def of(cls, fit: TorqueFit) -> _Cosines:
+        q, qd, qdd = (values[:, list(fit.motion_of)] for values in (fit.q, fit.qd, fit.qdd))
+
+        def torque(gravity: Array) -> Array:
+            return inverse_dynamics(fit.model.with_gravity(gravity), q, qd, qdd, threads=1)
+
+        still = torque(np.zeros(3))
+        x, y, z = (torque(axis) - still for axis in np.eye(3))
+        measured = fit.tau[:, list(fit.torque_of)]
+        y_, m, gx, gy, gz = (fit.without_friction(each) for each in (measured, still, x, y, z))
+        return cls(y_, m, (gx, gy, gz))
+
+    def at(self, gravity: Array) -> float:
+        """Return the cosine of measured and modelled torques under a gravity [m/s^2]."""
+        parts = zip(gravity, self.gravity, strict=True)
+        x = self.motion + sum((g * part for g, part in parts), np.zeros_like(self.motion))
+        norms = float(np.linalg.norm(x) * np.linalg.norm(self.measured))
+        return float(np.sum(x * self.measured)) / norms if norms > 0 else 0.0
+
+    def estimated(self) -> Array:
+        """Return the gravity of free fall in the direction of least squares, to three digits."""
+        columns = np.stack([part.ravel() for part in self.gravity], axis=1)
+        g = np.linalg.lstsq(columns, (self.measured - self.motion).ravel(), rcond=None)[0]
+        norm = float(np.linalg.norm(g))
+        if norm == 0.0:
+            return np.zeros(3)
+        return np.array([float(f"{value:.3g}") for value in FREE_FALL * g / norm])

@@ -1,0 +1,165 @@
+"""Bias of estimates by effects that the model lacks, and by noise of positions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.information.estimate import Estimate
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.result.result import IdentificationResult
+
+TOO_MUCH = 0.4
+"""Bias in standard errors from which 95 % intervals hold less than 93 %."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OmittedBias:
+    """Hold the bias of base parameters and its second moment, which adds to covariances.
+
+    A bias b with covariance V has `b b^T + V`. An estimate that is not corrected for a known bias
+    has the root of the sum of squares of bias and standard error as its error (Phillips, Eberhardt
+    and Parry, J. Research NIST 102, 1997; JCGM 100:2008, F.2.4.5).
+
+    Parameters
+    ----------
+    bias, covariance
+        Bias (p,) and second moment (p, p) of the estimate, such as a regularised one.
+    free_bias, free_covariance
+        Those of weighted least squares.
+    effects
+        The effects, as text.
+    """
+
+    bias: Array
+    covariance: Array
+    free_bias: Array
+    free_covariance: Array
+    effects: str
+
+    @property
+    def sentence(self) -> str:
+        """A note that names the effects, empty if all are in the model."""
+        if not self.effects:
+            return ""
+        return f"Standard errors include the bias by what the model may lack: {self.effects}."
+
+
+def shrunken(effects: Array, covariance: Array, size: Array) -> tuple[Array, Array]:
+    """Return mean (m,) and covariance (m, m) of effects of a usual size (m,).
+
+    Effects are normal around zero with that standard deviation: `T (V + T)^-1 g` and `V - V (V +
+    T)^-1 V` for the estimates g with covariance V (Efron and Morris, J. American Statistical
+    Association 70, 1975).
+
+    >>> mean, spread = shrunken(np.array([2.0]), np.array([[1.0]]), np.array([1.0]))
+    >>> mean.tolist(), spread.tolist()
+    ([1.0], [[0.5]])
+    """
+    T = np.diag(size**2)
+    gain = covariance @ np.linalg.pinv(covariance + T, hermitian=True)
+    spread = covariance - gain @ covariance
+    return np.asarray(effects - gain @ effects), np.asarray(0.5 * (spread + spread.T))
+
+
+def moved_estimate(information: SquareRootInformation, estimate: Estimate) -> Array:
+    """Return how an estimate moves (p, p) where weighted least squares moves.
+
+    An estimate with inverse root S moves by `S S^T W^T W b` where weighted least squares moves by
+    b: regularisation holds part of it back.
+    """
+    seen = (estimate.information or information).stacked(estimate.weights)[:-1, :-1]
+    root = estimate.solution.inverse_root
+    return np.asarray(root @ (seen @ root).T @ seen)
+
+
+def acceleration_noise(density: Array, band: float) -> Array:
+    """Return the variance of the accelerations (n,) below `band` [Hz] by noise of the positions.
+
+    `density` (n,) is the spectrum of the noise [rad^2/Hz]; the integral of (2 pi f)^4 over the band
+    is (2 pi)^4 band^5 / 5.
+    """
+    return np.asarray(density * (2.0 * np.pi) ** 4 * band**5 / 5.0, dtype=np.float64)
+
+
+def position_noise_bias(
+    result: IdentificationResult, training: Sequence[Samples], noise: Sequence[Array]
+) -> Array:
+    """Return the expected bias of each base parameter (p,).
+
+    `noise` are the variances of the accelerations (n,) of each recording in `training`.
+    """
+    base, model = result.base, result.model
+    total = sum(len(samples.q) for samples in training)
+    weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny) ** 2
+    normal = np.zeros((base.n_base, base.n_base))
+    for samples, variance in zip(training, noise, strict=True):
+        # States of a recording over which W_k is averaged; it depends on the positions alone.
+        q = samples.q[:: max(1, -(-len(samples.q) // 400))]
+        still = np.zeros_like(q)
+        rest = observation_matrix(model, q, still, still, drive=base.drive, columns=base.columns)
+        for k in np.flatnonzero(variance > 0.0):
+            unit = still.copy()
+            unit[:, k] = 1.0
+            rows = (
+                observation_matrix(model, q, still, unit, drive=base.drive, columns=base.columns)
+                - rest
+            )
+            weighted = rows * np.tile(weights, len(q))[:, None]
+            normal += variance[k] * len(samples.q) / total * (rows.T @ weighted) / len(q)
+    values = np.array([parameter.estimate for parameter in result.parameters])
+    return np.asarray(
+        -result.textbook_covariance @ (result.n_samples * normal) @ values, dtype=np.float64
+    )
+
+
+def position_noise_findings(
+    result: IdentificationResult,
+    training: Sequence[Samples],
+    densities: Sequence[Sequence[float]],
+    cutoff: float | None,
+) -> tuple[Finding, ...]:
+    """Find estimates that noise of the positions biases beyond their standard errors.
+
+    `densities` are the spectra of the noise [rad^2/Hz] of each recording, or nothing.
+    """
+    n = result.model.n_joints
+    if cutoff is None or len(densities) < len(training):
+        return ()
+    noise = [
+        acceleration_noise(np.array(each), samples.parallel.cutoff if samples.parallel else cutoff)
+        if len(each) == n
+        else np.zeros(n)
+        for samples, each in zip(training, densities, strict=False)
+    ]
+    if not np.any(noise):
+        return ()
+    try:
+        bias = position_noise_bias(result, training, noise)
+    except UsageError:
+        return ()
+    errors = np.sqrt(np.diag(result.covariance))
+    share = np.divide(np.abs(bias), errors, out=np.zeros_like(bias), where=errors > 0.0)
+    found = np.flatnonzero(share > TOO_MUCH)
+    if not found.size:
+        return ()
+    # Parameters named in the message.
+    worst = found[np.argsort(-share[found])][:3]
+    named = [f"{result.base.names[k]} by {share[k]:.2g}" for k in worst.tolist()]
+    return (
+        Finding(
+            "position_noise_bias",
+            "warning",
+            f"Noise of the positions biases {found.size} of {len(bias)} parameters by more than"
+            f" {TOO_MUCH:g} standard errors ({joined(named)} standard errors): their intervals are"
+            " too narrow",
+            Cure("lower the cutoff, log positions with finer steps"),
+        ),
+    )

@@ -1,0 +1,336 @@
+"""Payload, torque gains and channels of a robot from recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
+from asbuilt.experiment.command.usable_samples import moving_faster
+from asbuilt.experiment.logs.long_recordings import head_of
+from asbuilt.experiment.logs.recordings import (
+    Recorded,
+    RecordingLike,
+    as_recordings,
+    fitted_recordings,
+)
+from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Cure
+from asbuilt.identification.calibration.added_moments import AddedMoments, identify_added_moments
+from asbuilt.identification.calibration.payload import (
+    Payload,
+    identify_payload_samples,
+    payload_frame,
+)
+from asbuilt.identification.calibration.torque_gains import (
+    TorqueGains,
+    gains_in_use,
+    identify_gains,
+)
+from asbuilt.identification.calibration.two_channels import (
+    LINK_SIDE,
+    TwoChannelEstimate,
+    identify_two_channels,
+)
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.generalisation.payload_order import refuse_swapped
+from asbuilt.workflow.options import ChannelOptions, GainOptions, PayloadOptions
+from asbuilt.workflow.prepare import Prepared, Progress, prepare
+from asbuilt.workflow.study import Study
+
+COMMON = 0.9
+"""Least share of the samples of two channels that has equal time stamps."""
+SAME_MOTION = 0.02
+"""Largest difference of positions of two channels, as a share of the motion."""
+
+
+def identify_payload(
+    result: IdentificationResult | Study,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    *,
+    unloaded: RecordingLike | Sequence[RecordingLike] = (),
+    validation: RecordingLike | Sequence[RecordingLike] = (),
+    options: PayloadOptions | None = None,
+    progress: Progress | None = None,
+) -> Payload:
+    """Identify what the flange carries, and validate it.
+
+    Validation is on what was held out, then on other recordings, or else on the training data. All
+    recordings go through one signal chain, chosen from the loaded ones.
+
+    Parameters
+    ----------
+    result
+        The identified arm, or its study.
+    recordings
+        Recordings under load, one or several, as for `identify`.
+    unloaded
+        Recordings of the bare arm, which hold its parameters.
+    validation
+        Recordings under load to validate on.
+    options
+        How to identify; None: the defaults.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Returns
+    -------
+    Payload
+        Mass, centre of mass and inertia with standard errors, and predictions.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording, or torques that belong to other joints.
+    IdentifiabilityError
+        If the recordings do not determine a mass.
+    """
+    options = options or PayloadOptions()
+    result = result.result if isinstance(result, Study) else result
+    model = result.model
+    prepared = prepare(
+        model,
+        as_recordings(model, recordings),
+        others=(as_recordings(model, unloaded), as_recordings(model, validation)),
+        chain=_with_delay(options.chain, result),
+        holdout=options.holdout,
+        checked=options.checked,
+        progress=progress,
+    )
+    if options.checked:
+        refuse_swapped(result, prepared.training, *payload_frame(model, options.frame)[1:])
+    bare, others = prepared.others
+    return identify_payload_samples(
+        result,
+        prepared.training,
+        unloaded=bare,
+        frame=options.frame,
+        arm=options.arm,
+        validation=(*prepared.held_out, *others)
+        or [
+            replace(samples, source=f"{samples.source}, the data used")
+            for samples in prepared.training
+        ],
+        gain_uncertainty=options.gain_uncertainty,
+    )
+
+
+def identify_moments(
+    result: IdentificationResult | Study,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    *,
+    unloaded: RecordingLike | Sequence[RecordingLike] = (),
+    options: PayloadOptions | None = None,
+    progress: Progress | None = None,
+) -> AddedMoments:
+    """Identify the first moments that a weight on any link adds, with its mass if determined.
+
+    Arguments as for `identify_payload`; `unloaded` recordings of the same motion make the errors
+    those of the difference.
+    """
+    options = options or PayloadOptions()
+    result = result.result if isinstance(result, Study) else result
+    prepared = prepare(
+        result.model,
+        as_recordings(result.model, recordings),
+        others=(as_recordings(result.model, unloaded),),
+        chain=_with_delay(options.chain, result),
+        holdout=None,
+        checked=options.checked,
+        progress=progress,
+    )
+    (bare,) = prepared.others
+    return identify_added_moments(result, prepared.training, unloaded=bare, frame=options.frame)
+
+
+def _with_delay(chain: SignalChain | None, result: IdentificationResult) -> SignalChain:
+    """Return the chain with the delay that the arm was identified with, if it states none."""
+    chain = chain or SignalChain()
+    known = None if result.chain is None else result.chain.delay
+    return replace(chain, delay=known) if chain.delay == "auto" else chain
+
+
+def find_gains(
+    robot: RobotModel | str,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    loaded: RecordingLike | Sequence[RecordingLike],
+    *,
+    mass: float,
+    options: GainOptions | None = None,
+    progress: Progress | None = None,
+) -> TorqueGains:
+    """Identify the torque per logged unit of every drive from a payload of known mass.
+
+    Parameters
+    ----------
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    recordings, loaded
+        Recordings of the bare arm and with the payload, one or several each, as for `identify`.
+    mass
+        Mass of the payload [kg].
+    options
+        How to identify; None: the defaults.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Returns
+    -------
+    TorqueGains
+        The gains with standard errors, in place of those that the recordings were read with.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording other than wrong gains.
+    IdentifiabilityError
+        If the recordings do not determine the gains.
+    """
+    options = options or GainOptions()
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model, (bare, under) = fitted_recordings(model, (recordings, loaded))
+    prepared = prepare(
+        model,
+        [*bare, *under],
+        chain=options.chain,
+        checked=options.checked,
+        tolerated=(*TOO_LITTLE, *UNKNOWN_TORQUE),
+        progress=progress,
+    )
+    heads = [head_of(item) for item in (*bare, *under) if not isinstance(item, Samples)]
+    samples = [
+        _of_known_direction(each, item, prepared)
+        for each, item in zip(prepared.training, (*bare, *under), strict=True)
+    ]
+    return identify_gains(
+        model,
+        samples[: len(bare)],
+        samples[len(bare) :],
+        mass=mass,
+        com=options.com,
+        drive=options.drive,
+        frame=options.frame,
+        in_use=gains_in_use(heads),
+        of_command=any(head.torque_source == "command" for head in heads),
+    )
+
+
+def _of_known_direction(samples: Samples, item: Recorded, prepared: Prepared) -> Samples:
+    """Return the samples of a servo's command whose direction of motion is known; others whole."""
+    if isinstance(item, Samples) or prepared.chain is None:
+        return samples
+    head = head_of(item)
+    if head.torque_source != "command":
+        return samples
+    return moving_faster(samples, head, prepared.chain.cutoff or np.inf)
+
+
+def identify_channels(
+    robot: RobotModel | str,
+    sensor: RecordingLike | Sequence[RecordingLike],
+    motor: RecordingLike | Sequence[RecordingLike],
+    *,
+    options: ChannelOptions | None = None,
+    progress: Progress | None = None,
+) -> TwoChannelEstimate:
+    """Identify links, link-side friction and motor side from torques on both sides of the gears.
+
+    Parameters
+    ----------
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    sensor, motor
+        Recordings of the joint torque sensors and of the motor torques, one or several, in the
+        same order, as for `identify`.
+    options
+        How to identify; None: the defaults.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Returns
+    -------
+    TwoChannelEstimate
+        The parameters of both sides with standard errors.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording.
+    UsageError
+        If the two channels were not logged at the same instants.
+    """
+    options = options or ChannelOptions()
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model, (sensors, motors) = fitted_recordings(model, (sensor, motor))
+    if len(sensors) != len(motors):
+        raise UsageError(
+            f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"
+            " of motors"
+        )
+    pairs = [_same_instants(*pair) for pair in zip(sensors, motors, strict=True)]
+    prepared = prepare(
+        model,
+        [sensor for sensor, _ in pairs],
+        others=([motor for _, motor in pairs],),
+        chain=options.chain,
+        checked=options.checked,
+        progress=progress,
+    )
+    for pair in pairs:
+        _check_same_motion(*pair)
+    return identify_two_channels(
+        model,
+        prepared.training,
+        prepared.others[0],
+        link_side=options.link_side or LINK_SIDE,
+        motor_side=options.motor_side,
+    )
+
+
+def _same_instants(sensor: Recorded, motor: Recorded) -> tuple[Recorded, Recorded]:
+    """Return what two channels logged at the same instants, each with the torque of the other.
+
+    The signal chain drops rows that repeat the row before. Both torques decide about that, so that
+    it drops the same rows of both channels.
+    """
+    if not (isinstance(sensor, Recording) and isinstance(motor, Recording)):
+        return sensor, motor
+    common = np.intersect1d(sensor.t, motor.t)
+    if common.size < COMMON * min(sensor.n_samples, motor.n_samples):
+        raise UsageError(
+            f"{sensor.source} and {motor.source} are not of the same instants: {common.size} of"
+            f" {sensor.n_samples} and {motor.n_samples} time stamps are equal",
+            cure=Cure("log sensors and motors together, with the same time stamps"),
+            value=common.size,
+            lower=COMMON * min(sensor.n_samples, motor.n_samples),
+        )
+    if common.size < max(sensor.n_samples, motor.n_samples):
+        shared = (np.isin(sensor.t, motor.t), np.isin(motor.t, sensor.t))
+        sensor, motor = sensor.taken(shared[0]), motor.taken(shared[1])
+    return (
+        replace(sensor, extra={**sensor.extra, "tau_motor": motor.tau}),
+        replace(motor, extra={**motor.extra, "tau_sensor": sensor.tau}),
+    )
+
+
+def _check_same_motion(sensor: Recorded, motor: Recorded) -> None:
+    if not (isinstance(sensor, Recording) and isinstance(motor, Recording)):
+        return
+    apart = np.nanmax(np.abs(sensor.q - motor.q), axis=0)
+    moved = np.maximum(np.ptp(sensor.q, axis=0), np.ptp(motor.q, axis=0))
+    worst = int(np.argmax(apart - SAME_MOTION * moved))
+    if apart[worst] > SAME_MOTION * moved[worst]:
+        raise UsageError(
+            f"{sensor.source} and {motor.source} are not of the same motion: the positions of"
+            f" {sensor.joint_names[worst]} differ by up to {apart[worst]:.3g}",
+            cure=Cure("give the two channels of one recording"),
+            joint=sensor.joint_names[worst],
+            value=float(apart[worst]),
+        )

@@ -1,1 +1,0 @@
-"""Calibration with known or unknown payloads, and of motors against sensors."""

@@ -1,0 +1,174 @@
+"""Figures of a study: measured and predicted torque, and a sweep of the low-pass cutoff.
+
+That of torque is after Figures 3 and 4 of the 2015 paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.tables import significant
+from asbuilt.workflow.cutoff_sweep import CutoffSweep
+from asbuilt.writers.figures.figure_style import (
+    AS_BUILT,
+    BLUE,
+    CAD,
+    GREEN,
+    GREY,
+    INK,
+    MEASURED,
+    POINTS,
+    VERMILION,
+    broken,
+    drawn,
+)
+from asbuilt.writers.figures.thinning import thinned
+
+
+def torque_figure(
+    t: Array,
+    measured: Array,
+    predicted: Array,
+    *,
+    cad: Array | None = None,
+    label: str = "as built",
+    joint_names: Sequence[str] = (),
+    units: Sequence[str] = (),
+    title: str = "",
+) -> Figure:
+    """Draw measured and predicted torque and their difference, a row per joint.
+
+    Long recordings are thinned by minimum and maximum; gaps in time stay gaps.
+
+    Parameters
+    ----------
+    t
+        Time [s], shape (N,).
+    measured, predicted
+        Torques [N m or N], shape (N, n).
+    cad
+        Prediction by CAD, whose error is drawn too.
+    label
+        Name of the parameters that predicted.
+    joint_names, units
+        Names and torque units of the joints.
+    title
+        Headline.
+    """
+    n = measured.shape[1]
+    names = list(joint_names) or [f"joint {k + 1}" for k in range(n)]
+    kinds = list(units) or ["N m"] * n
+    shape = {"rows": n, "columns": 2, "sharex": True, "width_ratios": (3, 2)}
+    beside = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+    narrow = {"handlelength": 1.2, "columnspacing": 1.2, "borderaxespad": 0.1, "fontsize": 7.5}
+    with drawn(10.5, 1.25 * n + 0.95, title, **shape) as (figure, axes):
+        lefts, rights = axes[::2], axes[1::2]
+        for k, (left, right) in enumerate(zip(lefts, rights, strict=True)):
+            by_cad = None if cad is None else cad[:, k]
+            draw_torque(left, t, measured[:, k], predicted[:, k], label, beside=by_cad)
+            left.set_ylabel(torque_label(names[k], kinds[k]))
+            draw_errors(right, t, measured[:, k], predicted[:, k], label, cad=by_cad)
+            low, high = right.get_ylim()
+            right.set_ylim(low, high + 0.45 * (high - low))
+            right.legend(loc="upper left", ncols=2, **narrow)
+        for axis in axes:
+            axis.yaxis.set_major_locator(MaxNLocator(4))
+            axis.margins(x=0.01)
+        for column, name in ((lefts, "Torque"), (rights, "Error (measured - predicted)")):
+            column[0].set_title(name)
+            column[-1].set_xlabel("time [s]")
+        lefts[0].legend(ncols=2, **beside)
+        figure.align_ylabels(lefts)
+    return figure
+
+
+def draw_torque(
+    axis: Axes,
+    t: Array,
+    measured: Array,
+    predicted: Array,
+    label: str = "as built",
+    *,
+    beside: Array | None = None,
+) -> None:
+    """Draw measured and predicted torque (N,), thinned as a curve `beside` them."""
+    curves = [measured, predicted] + ([] if beside is None else [beside])
+    instants, torque, modelled, *_ = thinned(t, *curves, points=POINTS)
+    axis.plot(instants, torque, color=MEASURED, linewidth=1.5, label="measured")
+    dashed: dict[str, Any] = {"linewidth": 0.9, "linestyle": (0, (4, 1.6))}
+    axis.plot(instants, modelled, color=AS_BUILT, label=f"predicted, {label}", **dashed)
+
+
+def draw_errors(
+    axis: Axes,
+    t: Array,
+    measured: Array,
+    predicted: Array,
+    label: str = "as built",
+    *,
+    cad: Array | None = None,
+) -> None:
+    """Draw measured less predicted torque (N,), and that of CAD behind it."""
+    errors = {
+        f"{name}, RMS {_rms(measured - curve)}": measured - curve
+        for name, curve in (("CAD", cad), (label, predicted))
+        if curve is not None
+    }
+    instants, *thin = thinned(t, *errors.values(), points=POINTS)
+    looks = [(CAD, 0.8), (GREEN, 0.9)][-len(errors) :]
+    for name, error, (colour, width) in zip(errors, thin, looks, strict=True):
+        axis.plot(instants, error, color=colour, linewidth=width, label=name)
+    axis.axhline(0.0, color=INK, linewidth=0.5)
+
+
+def torque_label(joint: str, unit: str) -> str:
+    """Return the label of a joint's axis."""
+    return f"{broken(joint, 14)}\n[{unit}]"
+
+
+def _rms(error: ArrayLike) -> str:
+    return significant(float(np.sqrt(np.mean(np.square(error)))))
+
+
+def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
+    """Draw held-out error and the whiteness of the residual against the cutoff."""
+    cutoffs = [trial.cutoff for trial in sweep.trials]
+    with drawn(7.0, 4.6, title, rows=2, sharex=True, height_ratios=(3, 2)) as (figure, axes):
+        upper, lower = axes
+        right = lower.twinx()
+        for axis, name, factor, colour, mark, size, style, label in (
+            (upper, "score", 1, VERMILION, "o", 4, "-", "against unfiltered torque"),
+            (upper, "in_band", 1, GREY, "o", 3, "--", "against filtered torque"),
+            (lower, "durbin_watson", 1, BLUE, "o", 4, "-", ""),
+            (right, "effective_share", 100, GREEN, "s", 3, "-", ""),
+        ):
+            values = [factor * getattr(trial, name) for trial in sweep.trials]
+            look = {"color": colour, "marker": mark, "markersize": size, "linestyle": style}
+            axis.plot(cutoffs, values, label=label, **look)
+        upper.set_ylabel("held-out error,\nrelative to the best")
+        upper.legend(loc="best")
+        # Held-out error, relative to the best, above which the axis is logarithmic.
+        if max(trial.score for trial in sweep.trials) > 4.0:
+            upper.set_yscale("log")
+            upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            upper.yaxis.set_major_formatter(ScalarFormatter())
+            upper.yaxis.set_minor_locator(NullLocator())
+        right.set_ylabel("independent samples\n[% of white]", color=GREEN)
+        right.set_ylim(bottom=0.0)
+        right.grid(visible=False)
+        lower.set_ylabel("Durbin-Watson\n(white: 2)", color=BLUE)
+        lower.set_ylim(bottom=0.0)
+        lower.set(xscale="log", xlabel="cutoff [Hz]")
+        lower.set_xticks(cutoffs, [significant(cutoff, 2) for cutoff in cutoffs])
+        lower.minorticks_off()
+        for axis in (upper, lower):
+            axis.axvline(sweep.chosen, color=VERMILION, linewidth=0.8, linestyle=":")
+    return figure

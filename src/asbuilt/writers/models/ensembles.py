@@ -1,0 +1,332 @@
+"""An ensemble as a folder: model files, one table, ranges and a module that loads them."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from asbuilt.description.inertia import PARAMETER_NAMES
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
+from asbuilt.identification.ensembles.ensemble import QUANTILES, Ensemble
+from asbuilt.tables import Column, Shown, Table, significant
+from asbuilt.writers.files import atomic_write, file_lines, file_set, path_texts
+from asbuilt.writers.models.as_built import (
+    keeping_described_drives,
+    with_servo,
+    with_standard_parameters,
+)
+from asbuilt.writers.models.export import delay_notes, held_notes, urdf_to_edit
+from asbuilt.writers.models.mjcf import mjcf_notes, write_mjcf
+from asbuilt.writers.models.urdf import write_urdf
+from asbuilt.writers.models.urdf_edit import urdf_notes
+from asbuilt.writers.tables.tabular import write_json
+
+
+def parquet_table(ensemble: Ensemble) -> bytes:
+    """Return the table as Parquet: a row for every robot, units in the metadata of the file.
+
+    The column `draw` is the number of the model file, the others are named as in a result.
+    """
+    import polars  # noqa: PLC0415 - slow
+
+    columns = dict(zip(ensemble.names, ensemble.table.T, strict=True))
+    frame = polars.DataFrame({"draw": np.arange(len(ensemble), dtype=np.int64), **columns})
+    content = io.BytesIO()
+    units = {"draw": "", **dict(zip(ensemble.names, ensemble.units, strict=True))}
+    frame.write_parquet(
+        content, metadata={"units": json.dumps(units), "robot": ensemble.result.robot}
+    )
+    return content.getvalue()
+
+
+def ranges(ensemble: Ensemble) -> list[dict[str, Any]]:
+    """Return name, unit, owner, value, spread and quantiles of every column."""
+    spread, keys = ensemble.table.std(axis=0), [f"q{round(100 * each):02d}" for each in QUANTILES]
+    return [
+        {
+            "name": name,
+            "unit": unit,
+            **owner,
+            "value": value,
+            "std": std,
+            **dict(zip(keys, column, strict=True)),
+        }
+        for name, unit, owner, value, std, column in zip(
+            ensemble.names,
+            ensemble.units,
+            _owners(ensemble),
+            ensemble.middle.tolist(),
+            spread.tolist(),
+            ensemble.quantiles.T.tolist(),
+            strict=True,
+        )
+    ]
+
+
+def correlation(ensemble: Ensemble) -> dict[str, Any]:
+    """Return the correlation matrix of the columns that vary, with their names."""
+    table = ensemble.table
+    spread, size = table.std(axis=0), np.abs(table).mean(axis=0)
+    # Spread relative to the value below which a column is constant (rounding of the fits).
+    varies = np.flatnonzero((spread > 1e-9 * size) & (spread > np.finfo(np.float64).tiny))
+    names = [ensemble.names[k] for k in varies]
+    if len(ensemble) < 2 or not names:
+        return {"names": [], "matrix": []}
+    matrix = np.atleast_2d(np.corrcoef(table[:, varies].T))
+    return {"names": names, "matrix": np.round(matrix, 6).tolist()}
+
+
+def _owners(ensemble: Ensemble) -> list[dict[str, str]]:
+    """Return the link or joint that each column belongs to."""
+    model, drive = ensemble.result.model, ensemble.result.base.drive
+    links = [{"link": name} for name in model.link_names for _ in PARAMETER_NAMES]
+    joints = [{"joint": name} for name in model.joint_names for _ in range(drive.columns_per_joint)]
+    servo = [{"joint": name} for name in model.joint_names] * 2 + [{"joint": "all"}]
+    return [*links, *joints, *(servo if ensemble.kp is not None else [])]
+
+
+def ensemble_model(ensemble: Ensemble, draw: int) -> RobotModel:
+    """Return one robot of an ensemble, counted from 0, with its drive terms and servo."""
+    result = ensemble.result
+    robot = with_standard_parameters(
+        result.model, result.base.drive, ensemble.parameters[draw].copy()
+    )
+    robot = with_servo(robot, ensemble.servo(draw))
+    kept, _ = keeping_described_drives(robot, result.model)
+    servo = ensemble.servo(draw)
+    late = "" if servo is None else f"; delay of the servo {servo.delay!r} s"
+    note = f"draw {draw} of {len(ensemble)} from the uncertainty of the identified parameters{late}"
+    return replace(kept, notes=(*result.model.notes, note))
+
+
+ModelFormat = Literal["mjcf", "urdf"]
+SUFFIXES: dict[str, str] = {"mjcf": ".xml", "urdf": ".urdf"}
+MARK = "ensemble.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnsembleFiles:
+    """Hold the files of an ensemble by kind, with notes and the `document` of `ensemble.json`."""
+
+    ensemble: Ensemble
+    files: dict[str, Path]
+    models: tuple[Path, ...]
+    notes: tuple[str, ...]
+    document: dict[str, Any]
+
+    def as_document(self) -> dict[str, Any]:
+        """Return what `ensemble.json` holds, with the paths of the files."""
+        return {
+            **self.document,
+            "files": {**path_texts(self.files), "models": [str(path) for path in self.models]},
+        }
+
+    def as_text(self, full: bool = False) -> str:
+        """Return the ranges of drives and servo, `full` of the links too, the files and notes."""
+        head = f"{self.ensemble.result.robot}: {len(self.ensemble)} robots, equally probable"
+        shown = [row for row in self.document["parameters"] if full or "joint" in row]
+        columns = tuple(Column(name) for name in ("parameter", "of", "unit", "5 %", "50 %", "95 %"))
+        rows = tuple(
+            (
+                row["name"],
+                row.get("joint", row.get("link", "")),
+                row["unit"],
+                *(Shown(row[key], significant(row[key], 4)) for key in ("q05", "q50", "q95")),
+            )
+            for row in shown
+        )
+        first, last = self.models[0], self.models[-1]
+        files = {"models": Path(f"{first} ... {last.name}"), **self.files}
+        listed = file_lines(files, {}, 10) + [f"  note: {note}" for note in self.notes]
+        return "\n".join([head, "", Table(columns, rows).as_text().strip(), "", *listed])
+
+
+def write_ensemble(
+    folder: str | os.PathLike[str],
+    ensemble: Ensemble,
+    *,
+    models: ModelFormat = "mjcf",
+    seed: int | None = None,
+) -> EnsembleFiles:
+    """Write `model_000.xml ...`, `parameters.parquet`, `ensemble.json` and `load_ensemble.py`.
+
+    Members of an earlier ensemble in the folder are replaced.
+
+    Parameters
+    ----------
+    folder
+        Where to write.
+    ensemble
+        The robots.
+    models
+        Format of the model files: `"mjcf"` or `"urdf"` (the original URDF edited, if there is one).
+    seed
+        Seed that `ensemble.json` names.
+
+    Raises
+    ------
+    UsageError
+        If there is no such format, or the folder is not writable.
+    """
+    if models not in SUFFIXES:
+        raise UsageError(
+            f"there is no model format {models!r}", cure=Cure(f"take one of {', '.join(SUFFIXES)}")
+        )
+    place, n = Path(folder), len(ensemble)
+    digits = max(3, len(str(n - 1)))
+    names = [f"model_{draw:0{digits}d}{SUFFIXES[models]}" for draw in range(n)]
+    notes = (*ensemble.notes, *_format_notes(ensemble, models))
+    document = _document(ensemble, seed, names, notes)
+    older = [path.name for ends in SUFFIXES.values() for path in place.glob(f"model_*{ends}")]
+    with file_set(place, MARK, [*older, "parameters.parquet", "load_ensemble.py", MARK]):
+        written = [_write_model(place / name, ensemble, k, models) for k, name in enumerate(names)]
+        files = {
+            "parameters": atomic_write(place / "parameters.parquet", parquet_table(ensemble)),
+            "loader": atomic_write(place / "load_ensemble.py", loader_text(SUFFIXES[models])),
+            "ensemble": write_json(place / MARK, document),
+        }
+    return EnsembleFiles(ensemble, files, tuple(written), notes, document)
+
+
+def _document(
+    ensemble: Ensemble, seed: int | None, names: list[str], notes: tuple[str, ...]
+) -> dict[str, Any]:
+    result = ensemble.result
+    return {
+        "robot": result.robot,
+        "draws": len(ensemble),
+        "seed": seed,
+        "method": result.method,
+        "sources": list(result.sources),
+        "moved": ensemble.moved,
+        "models": names,
+        "parameters": ranges(ensemble),
+        "correlation": correlation(ensemble),
+        "notes": list(notes),
+    }
+
+
+def _write_model(path: Path, ensemble: Ensemble, draw: int, models: ModelFormat) -> Path:
+    robot = ensemble_model(ensemble, draw)
+    if models == "mjcf":
+        return write_mjcf(path, robot)[0]
+    original, _ = urdf_to_edit(ensemble.result.model)
+    return write_urdf(path, robot, original=original)[0]
+
+
+def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
+    """Return what files of this format cannot hold."""
+    first = ensemble_model(ensemble, 0)
+    _, kept = keeping_described_drives(first, ensemble.result.model)
+    said = mjcf_notes(first) if models == "mjcf" else urdf_notes(first)
+    own = f"numbers are those of draw 0: {'; '.join(said)}" if said else ""
+    held = held_notes(ensemble.result.model) if models == "mjcf" else ()
+    return tuple(
+        each for each in (own, *kept, *delay_notes(ensemble.result, models), *held) if each
+    )
+
+
+LOADER = '''"""Load the ensemble of this folder in MuJoCo, or one robot of it per world in mjlab.
+
+Needs mujoco; `table` needs polars, `randomize` needs mjlab. Written by asbuilt; change it freely.
+"""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+FOLDER = Path(__file__).resolve().parent
+FILES = sorted(FOLDER.glob("model_*@SUFFIX@"))
+FIELDS = (
+    "body_mass",
+    "body_ipos",
+    "body_iquat",
+    "body_inertia",
+    "dof_armature",
+    "dof_damping",
+    "dof_frictionloss",
+    "actuator_gainprm",
+    "actuator_biasprm",
+)
+
+
+def models():
+    """Yield every robot as a MuJoCo model."""
+    for file in FILES:
+        yield mujoco.MjModel.from_xml_path(str(file))
+
+
+def ranges():
+    """Return (lowest, highest) of every parameter: its 5 and 95 % quantiles."""
+    document = json.loads((FOLDER / "ensemble.json").read_text(encoding="utf-8"))
+    return {each["name"]: (each["q05"], each["q95"]) for each in document["parameters"]}
+
+
+def table():
+    """Return parameters.parquet as a data frame, a row for every robot."""
+    import polars
+
+    return polars.read_parquet(FOLDER / "parameters.parquet")
+
+
+def spec():
+    """Return the first robot for mjlab: EntityCfg(spec_fn=spec)."""
+    return mujoco.MjSpec.from_file(str(FILES[0]))
+
+
+def event():
+    """Return the mjlab event that gives each world one robot: events={"robot": event()}.
+
+    The parameters of one robot stay together, so that their correlations hold, which ranges of
+    single parameters do not keep.
+    """
+    import torch
+    from mjlab.managers.event_manager import (
+        EventTermCfg,
+        RecomputeLevel,
+        requires_model_fields,
+    )
+    from mjlab.managers.scene_entity_config import SceneEntityCfg
+
+    robots = list(models())
+
+    @requires_model_fields(*FIELDS, recompute=RecomputeLevel.set_const)
+    def randomize(env, env_ids, asset_cfg):
+        if env_ids is None:
+            env_ids = torch.arange(env.num_envs, device=env.device)
+        own = env.scene[asset_cfg.name].indexing
+        chosen = torch.randint(len(robots), (len(env_ids),)).tolist()
+        for field in FIELDS:
+            kind = field.split("_")[0]
+            ids = {"body": own.body_ids, "dof": own.joint_v_adr, "actuator": own.ctrl_ids}[kind]
+            first = 1 if kind == "body" else 0
+            values = [getattr(robots[draw], field)[first : first + len(ids)] for draw in chosen]
+            target = getattr(env.sim.model, field)
+            target[env_ids[:, None], ids] = torch.as_tensor(
+                np.stack(values), dtype=target.dtype, device=env.device
+            )
+
+    return EventTermCfg(
+        func=randomize, mode="startup", params={"asset_cfg": SceneEntityCfg("robot")}
+    )
+
+
+if __name__ == "__main__":
+    for number, robot in enumerate(models()):
+        print(number, "total mass [kg]", mujoco.mj_getTotalmass(robot))
+'''
+
+
+def loader_text(suffix: str) -> str:
+    """Return the module for model files that end so."""
+    return LOADER.replace("@SUFFIX@", suffix)

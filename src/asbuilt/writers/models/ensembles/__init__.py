@@ -1,1 +1,0 @@
-"""Ensembles of identified robots as sets of files."""

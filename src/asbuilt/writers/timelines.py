@@ -1,0 +1,350 @@
+"""Timelines as MCAP, for Foxglove and PlotJuggler, and for rerun with the moving robot.
+
+In MCAP each torque is a topic of `sensor_msgs/msg/JointState` with the torque as effort; positions
+are one too. Events are `rcl_interfaces/msg/Log`.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description import ROOT, RobotModel, link_solids
+from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.errors import MissingExtraError
+from asbuilt.experiment import Recorded, Recording, RecordingStream, head_of
+from asbuilt.findings import Finding, Severity
+from asbuilt.monitoring.events import Event
+from asbuilt.validation import Validation, recording_name
+from asbuilt.workflow.watching.watched_log import WatchedLog
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.pictures.skeleton import round_mesh
+
+STATE, LOG = "sensor_msgs/msg/JointState", "rcl_interfaces/msg/Log"
+LEVELS: dict[Severity, int] = {"info": 20, "warning": 30, "error": 40}
+"""Levels of `rcl_interfaces/msg/Log`."""
+
+
+def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Path:
+    """Write timelines as one MCAP file; several recordings have topics of their own.
+
+    Times are those of the recordings, from the first on if that is negative.
+
+    Raises
+    ------
+    MissingExtraError
+        If mcap or rosbags is not installed.
+    """
+    try:
+        from mcap.writer import Writer  # noqa: PLC0415 - an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise MissingExtraError("mcap", "bags", f"writing {path}") from error
+    stream, written = io.BytesIO(), list[tuple[int, int, bytes]]()
+    writer: Any = Writer(stream)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    writer.start(profile="ros2", library="asbuilt")
+    schemas = {
+        kind: writer.register_schema(
+            kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()
+        )
+        for kind in (STATE, LOG)
+    }
+    for timeline in timelines:
+        name = "".join(c if c.isalnum() else "_" for c in timeline.name)
+        prefix, begin = f"/{name}" if len(timelines) > 1 else "", min(timeline.start, 0.0)
+        for topic, kind, messages in _topics(timeline):
+            channel = writer.register_channel(f"{prefix}/{topic}", "cdr", schemas[kind])
+            for time, fields in messages:
+                nanoseconds = round((time - begin) * 1e9)
+                data = _serialised(store, kind, nanoseconds, fields)
+                written.append((nanoseconds, channel, data))
+    # Viewers read messages in the order of time.
+    for nanoseconds, channel, data in sorted(written, key=itemgetter(0)):
+        writer.add_message(channel, nanoseconds, data, nanoseconds)
+    writer.finish()
+    return atomic_write(path, stream.getvalue())
+
+
+def _topics(
+    timeline: Timeline,
+) -> Iterator[tuple[str, str, list[tuple[float, dict[str, Any]]]]]:
+    """Yield each topic of a timeline, its type, and times and fields of its messages."""
+    names = list(timeline.model.joint_names)
+    for track in timeline.tracks:
+        samples = _samples(track, names)
+        efforts = [(t, {"name": joints, "effort": torque}) for t, joints, torque in samples]
+        yield track.name, STATE, efforts
+    moved = zip(timeline.t.tolist(), timeline.q, strict=True)
+    yield "position", STATE, [(t, {"name": names, "position": q}) for t, q in moved]
+    marks = [
+        (mark.time, {"level": LEVELS[mark.severity], "msg": mark.text}) for mark in timeline.marks
+    ]
+    yield "events", LOG, marks
+
+
+def _serialised(store: Any, kind: str, nanoseconds: int, fields: Mapping[str, Any]) -> bytes:
+    """Return a message of a type, the fields that are not given empty."""
+    types, empty = store.types, np.empty(0)
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+    usual = {
+        STATE: {"header": header, "position": empty, "velocity": empty, "effort": empty},
+        LOG: {"stamp": stamp, "name": "asbuilt", "file": "", "function": "", "line": 0},
+    }
+    return bytes(store.serialize_cdr(types[kind](**{**usual[kind], **fields}), kind))
+
+
+def _samples(track: Track, names: list[str]) -> Iterator[tuple[float, list[str], Array]]:
+    """Yield time, joints and their torques, of one joint each where it has times of its own."""
+    if not track.has_own_times:
+        for time, torque in zip(track.t.tolist(), track.torque, strict=True):
+            yield time, names, np.ascontiguousarray(torque)
+        return
+    for k, name in enumerate(names):
+        for time, value in zip(*(each.tolist() for each in track.joint(k)), strict=True):
+            yield time, [name], np.array([value])
+
+
+RERUN_LEVELS: dict[Severity, str] = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
+TRACK_COLOURS: dict[str, tuple[int, int, int]] = {
+    "measured": (0, 114, 178),
+    "as_built": (213, 94, 0),
+    "cad": (125, 131, 140),
+    "error": (0, 158, 115),
+    "external": (0, 158, 115),
+    "threshold": (179, 38, 30),
+}
+"""Colours of the report."""
+ROD, HOUSING = (205, 208, 213), (226, 122, 32)
+
+
+def write_rrd(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Path:
+    """Write timelines as one file of rerun; several recordings have folders of their own.
+
+    Raises
+    ------
+    MissingExtraError
+        If rerun is not installed.
+    """
+    try:
+        import rerun  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise MissingExtraError("rerun-sdk", "rerun", f"writing {path}") from error
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "timeline.rrd"
+        stream = rerun.RecordingStream("asbuilt", recording_id="asbuilt")
+        stream.save(file)
+        for timeline in timelines:
+            name = "".join(c if c.isalnum() else "_" for c in timeline.name)
+            _write_timeline(rerun, stream, timeline, [name] if len(timelines) > 1 else [])
+        stream.flush()
+        stream.disconnect()
+        return atomic_write(path, file.read_bytes())
+
+
+def _write_timeline(rerun: Any, stream: Any, timeline: Timeline, above: list[str]) -> None:
+    _write_robot(rerun, stream, timeline, [*above, "robot"])
+    for k, joint in enumerate(timeline.model.joint_names):
+        for track in timeline.tracks:
+            place = [*above, "torque", joint, track.name]
+            t, torque = track.joint(k)
+            valid = np.isfinite(torque)
+            lines = rerun.SeriesLines(colors=TRACK_COLOURS[track.name], names=track.name)
+            stream.log(place, lines, static=True)
+            stream.send_columns(
+                rerun.new_entity_path(place),
+                [_times(rerun, t[valid])],
+                rerun.Scalars.columns(scalars=torque[valid]),
+            )
+    if timeline.marks:
+        texts = rerun.TextLog.columns(
+            text=[mark.text for mark in timeline.marks],
+            level=[RERUN_LEVELS[mark.severity] for mark in timeline.marks],
+        )
+        times = _times(rerun, np.array([mark.time for mark in timeline.marks]))
+        stream.send_columns(rerun.new_entity_path([*above, "events"]), [times], texts)
+
+
+def _write_robot(rerun: Any, stream: Any, timeline: Timeline, place: list[str]) -> None:
+    """Write the bodies of the links once, and their poses over time."""
+    model = timeline.model
+    links = [[*place, f"{k + 1} {link.name}"] for k, link in enumerate(model.links)]
+    for number, solid in enumerate(link_solids(model)):
+        parent = place if solid.link == ROOT else links[solid.link]
+        vertices, faces = round_mesh(solid)
+        colour = ROD if solid.kind == "rod" else HOUSING
+        mesh = rerun.Mesh3D(vertex_positions=vertices, triangle_indices=faces, albedo_factor=colour)
+        stream.log([*parent, f"{solid.kind} {number}"], mesh, static=True)
+    if not len(timeline.t):
+        return
+    poses = link_poses(model, timeline.q)
+    for k, link in enumerate(links):
+        columns = rerun.Transform3D.columns(
+            translation=poses[:, k, :3, 3], mat3x3=poses[:, k, :3, :3]
+        )
+        stream.send_columns(rerun.new_entity_path(link), [_times(rerun, timeline.t)], columns)
+
+
+def _times(rerun: Any, t: Array) -> Any:
+    return rerun.TimeColumn("time", duration=t)
+
+
+SEVERITY_OF_EVENT: dict[str, Severity] = {
+    "contact": "warning",
+    "fault": "error",
+    "payload": "info",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Hold a torque of all joints over time.
+
+    `t` [s] is (N,), or (N, n) where each joint has times of its own; `torque` (N, n) [N m or N].
+    """
+
+    name: str
+    t: Array
+    torque: Array
+
+    @property
+    def has_own_times(self) -> bool:
+        """Whether each joint has times of its own."""
+        return self.t.ndim == 2
+
+    def joint(self, k: int) -> tuple[Array, Array]:
+        """Return the times and torques of a joint."""
+        return (self.t[:, k] if self.has_own_times else self.t), self.torque[:, k]
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Hold what happened at a time [s], in a sentence."""
+
+    time: float
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timeline:
+    """Hold a recording as a viewer shows it.
+
+    Parameters
+    ----------
+    name
+        Name of the recording.
+    model
+        The robot.
+    t, q
+        Times (N,) [s] and positions (N, n) [rad or m]; rows that are not known are left out.
+    tracks
+        Torques, each with times of its own.
+    marks
+        Events and findings that have a time.
+    """
+
+    name: str
+    model: RobotModel
+    t: Array
+    q: Array
+    tracks: tuple[Track, ...]
+    marks: tuple[Mark, ...] = ()
+
+    @property
+    def start(self) -> float:
+        """First time [s] of anything in it."""
+        times = [self.t, *(track.t for track in self.tracks)]
+        marked = [mark.time for mark in self.marks]
+        return min([float(each.min()) for each in times if each.size] + marked, default=0.0)
+
+
+def timelines_of_validations(
+    model: RobotModel,
+    validations: Sequence[Validation],
+    recordings: Sequence[Recorded],
+    findings: Iterable[Finding] = (),
+) -> list[Timeline]:
+    """Return a timeline of each prediction: measured, as built, by CAD, and the error as built.
+
+    Positions are those of the recording that was predicted, at the times of the prediction.
+    """
+    marks = tuple(
+        Mark(each.time, each.severity, each.text) for each in findings if each.time is not None
+    )
+    return [
+        Timeline(
+            recording_name(each.source),
+            model,
+            *_positions(model, each.source, each.t, recordings),
+            (
+                Track("measured", each.t, each.measured),
+                Track("as_built", each.t, each.predicted),
+                Track("cad", each.t, each.predicted_cad),
+                Track("error", each.t, each.error),
+            ),
+            marks,
+        )
+        for each in validations
+    ]
+
+
+def timeline_of_watched(
+    model: RobotModel, watched: WatchedLog, recording: Recording | RecordingStream
+) -> Timeline:
+    """Return the timeline of a watched log: measured and external torque, thresholds, events."""
+    head, trace = head_of(recording), watched.trace
+    marks = [
+        Mark(event.start, SEVERITY_OF_EVENT[event.kind], _event_text(event))
+        for event in watched.events
+    ]
+    valid = np.all(np.isfinite(head.q), axis=1)
+    return Timeline(
+        recording_name(watched.source),
+        model,
+        head.t[valid],
+        head.q[valid],
+        (
+            Track("measured", head.t, head.tau),
+            Track("external", trace.t, trace.residual),
+            Track("threshold", trace.t, trace.limit),
+        ),
+        tuple(marks),
+    )
+
+
+def _positions(
+    model: RobotModel, source: str, t: Array, recordings: Sequence[Recorded]
+) -> tuple[Array, Array]:
+    """Return times and positions (N, n) of a recording at times (N,), those that it covers."""
+    none = np.empty(0), np.empty((0, model.n_joints))
+    own = [
+        head_of(each)
+        for each in recordings
+        if isinstance(each, Recording | RecordingStream) and source.startswith(each.source)
+    ]
+    if not own:
+        return none
+    recording = max(own, key=lambda each: len(each.source))
+    valid = np.all(np.isfinite(recording.q), axis=1)
+    if not valid.any():
+        return none
+    logged, q = recording.t[valid], recording.q[valid]
+    inside = (t >= logged[0]) & (t <= logged[-1])
+    times = t[inside]
+    return times, np.column_stack([np.interp(times, logged, column) for column in q.T])
+
+
+def _event_text(event: Event) -> str:
+    joints = ", ".join(event.joints)
+    return f"{event.kind} at {joints} from {event.start:.3f} to {event.end:.3f} s"
