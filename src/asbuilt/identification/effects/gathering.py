@@ -15,14 +15,11 @@ from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
-from asbuilt.identification.information.rows import SampleBlock, sample_blocks
+from asbuilt.identification.information.rows import ROWS, SampleBlock, sample_blocks
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-
-AHEAD = 4096
-"""Samples whose columns are evaluated at once."""
 
 At = tuple[str, int | None]
 """Key of an effect and the joint that it acts at (from 0; None: the whole robot)."""
@@ -196,7 +193,7 @@ def _places_of(base: BaseParameters, key: str | None, k: int) -> Indices:
 class _Columns:
     """Evaluate the columns of variants on spans of samples, one after another.
 
-    Columns of single instants are evaluated for `AHEAD` samples at once, as blocks are short.
+    Columns of single instants are evaluated for many samples at once, as blocks are short.
     """
 
     def __init__(self, robot: Described, variants: Sequence[Variant]) -> None:
@@ -225,7 +222,7 @@ class _Columns:
         """Evaluate what depends on single instants, from the start of a span on."""
         samples = self._samples = part.samples
         self._start = span.start
-        self._stop = max(span.stop, min(span.start + AHEAD, part.stop))
+        self._stop = max(span.stop, min(span.start + 2 * ROWS.samples_at_once, part.stop))
         held = slice(self._start, self._stop)
         length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
         elapsed = (samples.t[held] - samples.t[0]) / length - 0.5

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-MOST_STACKED = 128
-"""Factors of all joints that are kept: many questions are asked with one set of weights."""
 MOST_BLOCKS = 128
 """Half the number of blocks at which neighbours are merged, which bounds memory."""
 
@@ -208,6 +206,7 @@ class SquareRootInformation:
 
     @cached_property
     def _known(self) -> dict[tuple[int | None, bytes], Array]:
+        """Factors by block and weights: many questions are asked with one set of weights."""
         return {}
 
     def _stacked(self, block: int | None, weights: ArrayLike | None) -> Array:
@@ -222,7 +221,7 @@ class SquareRootInformation:
             growing.append(weight * factor.T, np.append(support, p))
         found = growing.factor()
         found.setflags(write=False)
-        if len(self._known) >= MOST_STACKED:
+        if len(self._known) > 2 * MOST_BLOCKS:  # those of every block with one set of weights
             self._known.clear()
         self._known[block, w.tobytes()] = found
         return found
