@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
@@ -35,7 +36,5 @@ def confidence_intervals(
             lower=0.0,
             upper=1.0,
         )
-    from scipy.stats import t as student  # noqa: PLC0415 - slow
-
-    width = student.ppf(0.5 + 0.5 * level, degrees_of_freedom) * std_errors
+    width = stdtrit(degrees_of_freedom, 0.5 + 0.5 * level) * std_errors
     return np.column_stack([estimates - width, estimates + width])

@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
+from asbuilt.experiment.signal.noise.spectrum import power_density
 
 Segments = tuple[tuple[int, int], ...]
 
@@ -205,8 +205,7 @@ def _spectrum(residual: Array, segments: Segments, rate: float) -> tuple[Array, 
     for (start, stop), length in zip(segments, lengths, strict=True):
         if length < window:
             continue
-        _, density = welch(residual[start:stop], fs=rate, nperseg=window, axis=0)
-        total += length * density
+        total += length * power_density(residual[start:stop], rate, window)
         weight += length
     return frequencies, total / max(weight, 1)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,17 +27,13 @@ from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.uncertainty import recording_variances
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.result.recording_delay import RecordingDelay
-from asbuilt.identification.servo.servo_delay import servo_delay_errors
-from asbuilt.identification.servo.servo_estimate import (
-    UNEXPLAINED,
-    ServoEstimate,
-    estimate_servo,
-    precedes_command,
-)
 from asbuilt.tables import rounded
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, settled_rule
+
+if TYPE_CHECKING:
+    from asbuilt.identification.servo.servo_estimate import ServoEstimate
 
 EXCEPTION = 1.0 / 3.0
 """Share of the time up to which motion without explanation is an exception, such as contact; more
@@ -69,6 +66,10 @@ def settle_servo(
             "the recordings have torques of different kinds, or of different position servos;"
             " identify from recordings of one servo"
         )
+    from asbuilt.identification.servo.servo_estimate import (  # noqa: PLC0415 - light start
+        estimate_servo,
+    )
+
     heads = [head_of(item) for item in recordings if not isinstance(item, Samples)]
     chain = options.chain or SignalChain()
     drive = _linear(options.drive) or usual_drive(model, "command")
@@ -227,6 +228,10 @@ def with_delay_errors(fit: Fit, found: ServoEstimate | None) -> Fit:
         return fit
     late = None
     if found.slopes is not None:
+        from asbuilt.identification.servo.servo_delay import (  # noqa: PLC0415 - light start
+            servo_delay_errors,
+        )
+
         late = servo_delay_errors(
             fit.information,
             fit.estimate,
@@ -334,7 +339,7 @@ def servo_findings(
                 Cure("state the lead and the torque limit if they are known, or record steps"),
             )
         )
-    elif precedes_command(found):
+    elif found.precedes_command:
         findings.append(
             Finding(
                 "servo_ahead",
@@ -441,6 +446,10 @@ def _goal_findings(found: ServoEstimate) -> list[Finding]:
 
 
 def _unexplained(found: ServoEstimate) -> Finding:
+    from asbuilt.identification.servo.servo_estimate import (  # noqa: PLC0415 - light start
+        UNEXPLAINED,
+    )
+
     blocks = found.unexplained
     seconds = sum(block.stop - block.start for block in blocks)
     listed = joined(

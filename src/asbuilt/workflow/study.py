@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from asbuilt.arrays import Array
 from asbuilt.codec import plain, restored
@@ -29,7 +29,6 @@ from asbuilt.identification.result.determination import Determination, determina
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.stored_document import stored_document
 from asbuilt.identification.result.summary import Summary, summarise
-from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.registry import shared_settings
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison, compare
@@ -46,13 +45,11 @@ from asbuilt.workflow.fitting.hold_out_plan import hold_out_findings, with_settl
 from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare, settled_rule
 from asbuilt.workflow.servo import explained, servo_delays, settle_servo
-from asbuilt.workflow.simulation.refinement import Refined
-from asbuilt.workflow.simulation.rollout import (
-    Simulated,
-    SimulatedParts,
-    simulated_parts,
-    simulated_rollouts,
-)
+
+if TYPE_CHECKING:
+    from asbuilt.identification.servo.servo_estimate import ServoEstimate
+    from asbuilt.workflow.simulation.refinement import Refined
+    from asbuilt.workflow.simulation.rollout import Simulated
 
 HORIZON_OF_VERDICT = 0.5
 """Windows [s] by which robots under commands are measured: a stroke of a fast servo, and short
@@ -250,8 +247,10 @@ def identify(
         raise _all_fitted()
     prepared, cutoffs = _prepared(model, trained, others, options, servo, filters, report)
     report("identify", 0.0)
-    parts, horizons = SimulatedParts(), options.rollout or _horizons_of_verdict(servo)
+    parts, horizons = None, options.rollout or _horizons_of_verdict(servo)
     if options.refine or horizons:
+        from asbuilt.workflow.simulation.rollout import simulated_parts  # noqa: PLC0415 - light start
+
         parts = simulated_parts(trained, others, prepared.chain, prepared.holdout, filters)
     del filters  # motions of whole recordings
     fits = fit_study(model, prepared, options, servo, parts, report)
@@ -271,7 +270,7 @@ def identify(
         effects=concluded.result.effects,
         refined=fits.refined,
     )
-    if not horizons or not (options.rollout or parts.held_out):
+    if parts is None or not horizons or not (options.rollout or parts.held_out):
         return study
     report("roll out", 0.0)
     return _rolled_out(study, parts.held_out, horizons, workers)
@@ -332,6 +331,8 @@ def _rolled_out(
     workers: Workers | None,
 ) -> Study:
     """Simulate what was held out by the fit that has not seen it."""
+    from asbuilt.workflow.simulation.rollout import simulated_rollouts  # noqa: PLC0415 - light start
+
     if not held:
         raise _all_fitted()
     result = study.result.of_training

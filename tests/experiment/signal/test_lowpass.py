@@ -5,6 +5,7 @@ from scipy import signal
 from asbuilt.errors import UsageError
 from asbuilt.experiment.signal.lowpass import (
     butterworth,
+    butterworth_sections,
     decimate_chebyshev,
     settling_samples,
     single_pass_cutoff,
@@ -54,6 +55,17 @@ def test_butterworth_agrees_with_filtfilt_away_from_the_ends():
     ours = butterworth(x, cutoff=7.0, rate=RATE, order=2, corrected=False)
     inside = slice(600, -600)
     np.testing.assert_allclose(ours[inside], expected[inside], atol=1e-9 * np.abs(x).max())
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 6, 8])
+@pytest.mark.parametrize("cutoff", [0.5, 7.0, 40.0])
+def test_sections_are_those_of_another_design(order, cutoff):
+    ours = butterworth_sections(order, cutoff, RATE)
+    at = np.linspace(0.0, 0.49 * RATE, 200)
+    expected = signal.butter(order, cutoff, fs=RATE, output="sos")
+    one, other = (signal.sosfreqz(each, at, fs=RATE)[1] for each in (ours, expected))
+    np.testing.assert_allclose(one, other, atol=1e-9)
+    np.testing.assert_allclose(ours[:, 3:], expected[:, 3:], rtol=1e-9, atol=1e-12)
 
 
 def test_straight_lines_pass_to_their_ends():

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import factorial
 
 import numpy as np
-from scipy.signal import savgol_coeffs
+from scipy.linalg import lstsq
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.experiment.recording import Recording
@@ -191,7 +192,7 @@ def smoothed_motion(segments: UniformSegments, logged: Sequence[Recording]) -> S
     of values, so that a joint at rest has a velocity of exactly 0.
     """
     window, step = segments.window, segments.step
-    value, *slopes = [savgol_coeffs(window, 3, deriv=k, delta=step, use="dot") for k in range(3)]
+    value, *slopes = _cubic(window, step)
     of_steps = [-np.cumsum(taps)[:-1] for taps in slopes]
     smooth: list[list[Array]] = []
     for part in logged:
@@ -204,6 +205,16 @@ def smoothed_motion(segments: UniformSegments, logged: Sequence[Recording]) -> S
         smooth.append([values.T for values in (*derivatives, *others)])
     q, qd, qdd, tau, *measured = [np.concatenate(parts) for parts in zip(*smooth, strict=True)]
     return SmoothedMotion(q, qd, qdd, tau, measured[0] if measured else None, 1.0 / step)
+
+
+def _cubic(window: int, step: float) -> list[Array]:
+    """Return the taps of value, slope and curvature of the cubic that fits a window best.
+
+    As `scipy.signal.savgol_coeffs`, whose package takes long to import.
+    """
+    powers = np.arange(window, dtype=np.float64) - window // 2
+    A = powers ** np.arange(4.0)[:, None]
+    return [lstsq(A, np.eye(4)[k] * factorial(k) / step**k)[0] for k in range(3)]
 
 
 def _resampled(even: Array, t: Array, values: Array) -> Array:

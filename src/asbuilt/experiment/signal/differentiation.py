@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import interpolate, signal
 
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
@@ -56,11 +55,11 @@ def savitzky_golay(
             value=values.shape[0],
             lower=window,
         )
+    from scipy.signal import savgol_filter  # noqa: PLC0415 - light start
+
     q, qd, qdd = (
         np.ascontiguousarray(
-            signal.savgol_filter(
-                values, window, degree, deriv=d, delta=1.0 / rate, axis=0, mode="interp"
-            )
+            savgol_filter(values, window, degree, deriv=d, delta=1.0 / rate, axis=0, mode="interp")
         )
         for d in range(3)
     )
@@ -95,7 +94,9 @@ def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array
         raise UsageError(f"a smoothing spline needs at least 5 samples, got {values.shape[0]}")
     lam = (np.sqrt(2.0) - 1.0) / (2.0 * np.pi * cutoff / rate) ** 4
     k = np.arange(values.shape[0], dtype=np.float64)
-    spline = interpolate.make_smoothing_spline(k, values, lam=lam, axis=0)
+    from scipy.interpolate import make_smoothing_spline  # noqa: PLC0415 - light start
+
+    spline = make_smoothing_spline(k, values, lam=lam, axis=0)
     q, qd, qdd = (
         np.ascontiguousarray(spline.derivative(d)(k) if d else spline(k)) * rate**d
         for d in range(3)

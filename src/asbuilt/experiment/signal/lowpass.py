@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import signal
 
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel
@@ -76,10 +75,10 @@ def settling_samples(
     sections = _sections(cutoff, rate, order, corrected)
     slowest = max(abs(root) for section in sections for root in np.roots(section[3:]))
     length = int(np.ceil(np.log(1e-3 * tolerance) / np.log(slowest))) + 1
-    impulse = np.zeros(2 * length)
-    impulse[0] = 1.0
-    single = signal.sosfilt(sections, impulse)
-    double = signal.sosfilt(sections, single[::-1])[::-1]
+    rows = np.zeros((AT_ONCE, 2 * length))
+    rows[0, 0] = 1.0
+    _filter_in_place(rows, sections, np.zeros((len(sections), 2)))
+    double = rows[0]
     above = np.flatnonzero(np.abs(double) > tolerance * np.abs(double).max())
     return int(above[-1]) + 1
 
@@ -95,8 +94,10 @@ def decimate_chebyshev(x: ArrayLike, factor: int, *, order: int = 8) -> Array:
         raise UsageError(f"the decimation factor must be 1 or more, got {factor}")
     if factor == 1:
         return values
+    from scipy.signal import decimate  # noqa: PLC0415 - light start
+
     return np.ascontiguousarray(
-        signal.decimate(values, factor, n=order, ftype="iir", axis=0, zero_phase=True)
+        decimate(values, factor, n=order, ftype="iir", axis=0, zero_phase=True)
     )
 
 
@@ -122,8 +123,19 @@ def _both_ways(x: Array, sections: Array, padding: int) -> Array:
 
 @lru_cache(maxsize=256)
 def _steady_state(sections: bytes, count: int) -> Array:
-    """Return the states (count, 2) of sections that the input 1 has held for long."""
-    return np.asarray(signal.sosfilt_zi(np.frombuffer(sections).reshape(count, 6)))
+    """Return the states (count, 2) of sections that the input 1 has held for long.
+
+    The states (p, q) of a section with the input 1 solve `p = q + b1 - a1 (p + b0)`,
+    `q = b2 - a2 (p + b0)`; its input is the gain of the sections before.
+    """
+    rows = np.frombuffer(sections).reshape(count, 6)
+    b, a = rows[:, :3], rows[:, 3:]
+    system = np.tile(np.eye(2), (count, 1, 1))
+    system[:, 0, 1] = -1.0
+    system[:, :, 0] += a[:, 1:]
+    states = np.linalg.solve(system, (b[:, 1:] - a[:, 1:] * b[:, :1])[..., None])[..., 0]
+    gain = np.cumprod(np.append(1.0, b.sum(axis=1) / a.sum(axis=1)))[:-1]
+    return np.asarray(gain[:, None] * states)
 
 
 @kernel("F2 f2 f2")
@@ -167,7 +179,23 @@ def _sections(cutoff: float, rate: float, order: int, corrected: bool) -> Array:
             f" 0 and {0.5 * rate:g} Hz"
         )
     single = single_pass_cutoff(cutoff, rate, order) if corrected else cutoff
-    sections: Array = np.asarray(
-        signal.butter(order, single, fs=rate, output="sos"), dtype=np.float64
-    )
+    return butterworth_sections(order, single, rate)
+
+
+def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:
+    """Return second-order sections `b0 b1 b2 1 a1 a2` of a low-pass, the most damped pole first.
+
+    The poles `s_k = -w exp(i pi k / (2 order))`, w = 4 tan(pi cutoff / rate), go
+    through the bilinear map `z = (4 + s) / (4 - s)`, and all zeros lie at -1 (Oppenheim & Schafer,
+    Discrete-Time Signal Processing, 2010, section 7.3). The first section has the gain of all. As
+    `scipy.signal.butter`, whose package takes long to import.
+    """
+    w = 4.0 * np.tan(np.pi * (cutoff / (0.5 * rate)) / 2.0)
+    s = w * -np.exp(0.5j * np.pi * np.arange(1.0 - order, order, 2.0) / order)
+    z = ((4.0 + s) / (4.0 - s))[order // 2 :]  # a real pole, then one of each conjugate pair
+    sections = np.tile([1.0, 2.0, 1.0, 1.0, 0.0, 0.0], (len(z), 1))
+    sections[:, 4], sections[:, 5] = -2.0 * z.real, z.real**2 + z.imag**2
+    if order % 2:
+        sections[0] = 1.0, 1.0, 0.0, 1.0, -z[0].real, 0.0
+    sections[0, :3] *= w**order * (1.0 / np.prod(4.0 - s)).real
     return sections

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from scipy import optimize, signal
+from scipy import optimize
 
 from asbuilt.arrays import Array
 from asbuilt.compilation import kernel, part
@@ -126,7 +126,7 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
             upper=int(rate / (2.0 * STOP_BAND_EDGE * cutoff)),
         )
     ratio = cutoff / rate
-    beta = signal.kaiser_beta(STOP_BAND)
+    beta = 0.1102 * (STOP_BAND - 8.7)
     # 1.2: width of the transition band about the -6 dB point, which is near 1.12 cutoffs, in
     # cutoffs.
     half = int(np.ceil(0.5 * (STOP_BAND - 7.95) / (2.285 * 2.0 * np.pi * 1.2 * ratio)))

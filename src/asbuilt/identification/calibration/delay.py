@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -19,13 +19,13 @@ from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.errors.delay_errors import DelayColumns, delay_columns
 from asbuilt.identification.estimators.consistent_fit import fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimate import Estimate
-from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.held_out import different_motions, held_out_errors
+from asbuilt.identification.information.rows import Rows
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
+    reduce_rows,
 )
 from asbuilt.identification.result.design_values import design_values
 
@@ -261,7 +261,7 @@ class _Fits:
     def predict_better(self, delays: Array) -> bool:
         """Return whether torques shifted back by delays are predicted better on other motions."""
         after, before = self._samples(delays), self._samples(np.zeros(self.count))
-        weights = self._plain(after).weights
+        weights = self._plain(self._rows(after)).weights
         return predicts_better(
             self.model, self._base, weights, before, after, block_seconds=self._block_seconds
         )
@@ -271,25 +271,27 @@ class _Fits:
         wide = np.broadcast_to(delays if delays.ndim == 2 else delays[:, None], (self.count, n))
         return self._prepare(wide)
 
-    def _plain(self, samples: Sequence[Samples]) -> Estimate:
+    def _rows(self, samples: Sequence[Samples]) -> Rows:
+        return Rows(self.model, self._base, samples, self._block_seconds)
+
+    def _plain(self, rows: Rows) -> Estimate:
         """Return the plain weighted fit."""
-        information = accumulate_stream(
-            self.model, self._base, samples, block_seconds=self._block_seconds
-        )
-        data = EstimationData(self.model, information, samples, self._design)
-        return methods.find("wls").estimate(data)
+        information = reduce_rows(self._base, self.model.joint_names, rows.support, rows)
+        return fit_least_squares(information, weights="joint", prior=self._design)
 
     def columns(self, delays: Array) -> DelayColumns:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
         samples = self._samples(delays)
         bands = [each.parallel.cutoff for each in samples if each.parallel]
         self.longest = RULES.longest_step / min(bands) if bands else RULES.longest_step
+        rows = self._rows(samples)
         return delay_columns(
             self.model,
             self._base,
-            self._plain(samples),
+            self._plain(rows),
             samples,
             block_seconds=self._block_seconds,
+            rows=rows,
         )
 
     def settled(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
@@ -316,13 +318,13 @@ def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array]
     n, count = fits.model.n_joints, fits.count
     columns, each = fits.columns(delays), _per_joint(count, n)
     wide = np.repeat(delays[:, None], n, axis=1)
-    solved = columns.solve(each)
     for _ in range(RULES.most_steps // 2):
-        step = np.clip(solved.increments.reshape(count, n), -fits.longest, fits.longest)
+        step = np.clip(columns.increments(each).reshape(count, n), -fits.longest, fits.longest)
         wide = np.clip(wide + step, -RULES.farthest, RULES.farthest)
-        solved = fits.columns(wide).solve(each)
+        columns = fits.columns(wide)
         if np.all(np.abs(step) < RULES.settled):
             break
+    solved = columns.solve(each)
     errors = solved.std_errors.reshape(count, n)
     chance, spread = _alike(wide, errors, solved.n_blocks)
     return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)
@@ -337,7 +339,7 @@ def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
         return 1.0, 0.0
     off = delays - (weight * delays).sum(axis=1, keepdims=True) / total
     chi_square = float(np.sum(weight * off**2))
-    chance = float(f_distribution.sf(chi_square / freedom, freedom, max(n_blocks - 1, 1)))
+    chance = float(fdtrc(freedom, max(n_blocks - 1, 1), chi_square / freedom))
     return chance, float(np.max(np.abs(off) - RULES.significant * errors))
 
 

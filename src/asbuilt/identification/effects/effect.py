@@ -69,6 +69,14 @@ class Motion:
         """Torque of the rigid bodies and of the whole model, (L, n) each."""
         return self.torque_of(self.q, self.qd, self.qdd)
 
+    def within(self, span: slice) -> Motion:
+        """Return the motion on a part of the span, whose torques are taken from here."""
+        state = self.q[span], self.qd[span], self.qdd[span]
+        part = Motion(self.robot, self.rate, *state, self.elapsed[span])
+        rigid, whole = self.torques
+        vars(part)["torques"] = rigid[span], whole[span]
+        return part
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variant:
@@ -119,6 +127,8 @@ class Effect(ABC):
     """Largest size that a robot in use can have."""
     shown: ClassVar[float] = 0.0
     """Size that every log should show; 0: none need be said to be unseen."""
+    by_span: ClassVar[bool] = False
+    """Whether its columns at an instant depend on the samples of the span around it."""
     starts: ClassVar[tuple[float, ...]] = ()
     """Values from which on it may be sought, too, where it can be off by factors."""
 

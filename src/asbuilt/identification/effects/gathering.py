@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,7 @@ from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.effects.effect import EFFECTS, Described, Effect, Motion, Variant
-from asbuilt.identification.information.rows import SampleBlock, sample_blocks
+from asbuilt.identification.information.rows import ROWS, SampleBlock, sample_blocks
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -127,24 +127,27 @@ def gather_equations(
     slots = [variant for variant in variants for _ in range(variant.n_columns)]
     plan = RegressorPlan.of(robot.model, base.drive, base.columns, spare_rows=len(slots) + 1)
     candidates, own, size = _placed(variants, n, base)
-    support = tuple(np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n))
+    support = [np.concatenate([plan.support[k], own[k]]).astype(np.int64) for k in range(n)]
+    # a joint has not every slot, but torque
+    there = [np.append(np.flatnonzero(s >= 0), len(s)) for s in support]
     grams: list[list[Array]] = [[] for _ in range(n)]
     counts: list[int] = []
+    columns = _Columns(robot, variants)
     with one_blas_thread():
         for part in sample_blocks(robot.model, samples, block_seconds):
             block = [np.zeros((len(s) + 1,) * 2) for s in support]
-            for chunk in part.chunks(plan, _evaluated(robot, variants, part)):
+            for chunk in part.chunks(plan, partial(columns, part)):
                 for k, rows in enumerate(chunk):
                     block[k] += rows @ rows.T
-            for k in range(n):
-                grams[k].append(block[k])
+            for gram, kept, every in zip(grams, there, block, strict=True):
+                gram.append(every[np.ix_(kept, kept)])
             counts.append(part.n_outputs)
-    return _without_idle(
+    return EffectEquations(
         robot,
         base,
-        candidates,
-        [np.concatenate([s, [size]]) for s in support],
-        [np.array(each) for each in grams],
+        tuple(candidates),
+        tuple(s[s >= 0] for s in support),
+        tuple(np.array(each) for each in grams),
         np.array(counts, dtype=np.int64),
         size,
     )
@@ -187,35 +190,45 @@ def _places_of(base: BaseParameters, key: str | None, k: int) -> Indices:
     return np.array([j for j, name in enumerate(base.names) if name in names], dtype=np.int64)
 
 
-def _evaluated(
-    robot: Described, variants: Sequence[Variant], part: SampleBlock
-) -> Callable[[slice], list[Array]]:
-    """Return what gives the columns of all variants on a span of the block's samples."""
-    samples = part.samples
-    length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
+class _Columns:
+    """Evaluate the columns of variants on spans of samples, one after another.
 
-    def evaluate(span: slice) -> list[Array]:
-        elapsed = (samples.t[span] - samples.t[0]) / length - 0.5
-        state = samples.q[span], samples.qd[span], samples.qdd[span]
-        motion = Motion(robot, samples.rate, *state, elapsed)
-        return [c for each in variants for c in each.effect.columns(each, motion)]
+    Columns of single instants are evaluated for many samples at once, as blocks are short.
+    """
 
-    return evaluate
+    def __init__(self, robot: Described, variants: Sequence[Variant]) -> None:
+        self._robot, self._variants = robot, variants
+        self._samples: Samples | None = None
+        self._start = self._stop = 0
 
+    def __call__(self, part: SampleBlock, span: slice) -> list[Array]:
+        """Return the columns of all variants, (L, n) each, on a span of the block's samples."""
+        ahead = self._samples is part.samples and self._start <= span.start
+        if not ahead or span.stop > self._stop:
+            self._evaluate(part, span)
+        own = slice(span.start - self._start, span.stop - self._start)
+        motion = self._motion.within(own)
+        return [
+            column
+            for variant, columns in zip(self._variants, self._columns, strict=True)
+            for column in (
+                variant.effect.columns(variant, motion)
+                if columns is None
+                else (each[own] for each in columns)
+            )
+        ]
 
-def _without_idle(
-    robot: Described,
-    base: BaseParameters,
-    candidates: Sequence[Candidate],
-    support: Sequence[Indices],
-    grams: Sequence[Array],
-    counts: Indices,
-    size: int,
-) -> EffectEquations:
-    """Return the equations without slots that a joint does not have."""
-    places, own = [], []
-    for s, gram in zip(support, grams, strict=True):
-        there = np.flatnonzero(s >= 0)
-        places.append(s[there][:-1])
-        own.append(np.ascontiguousarray(gram[:, there][:, :, there]))
-    return EffectEquations(robot, base, tuple(candidates), tuple(places), tuple(own), counts, size)
+    def _evaluate(self, part: SampleBlock, span: slice) -> None:
+        """Evaluate what depends on single instants, from the start of a span on."""
+        samples = self._samples = part.samples
+        self._start = span.start
+        self._stop = max(span.stop, min(span.start + 2 * ROWS.samples_at_once, part.stop))
+        held = slice(self._start, self._stop)
+        length = max(float(samples.t[-1] - samples.t[0]), 1e-9)
+        elapsed = (samples.t[held] - samples.t[0]) / length - 0.5
+        state = samples.q[held], samples.qd[held], samples.qdd[held]
+        self._motion = Motion(self._robot, samples.rate, *state, elapsed)
+        self._columns = [
+            None if each.effect.by_span else each.effect.columns(each, self._motion)
+            for each in self._variants
+        ]

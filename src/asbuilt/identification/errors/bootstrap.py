@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
@@ -171,11 +171,7 @@ def bootstrap_uncertainty(
     (benchmarks/coverage.py).
     """
     n = information.n_blocks
-    few = (
-        1.0
-        if estimate.refit is None
-        else float(stats.t.ppf(COVERED, n - 1) / stats.norm.ppf(COVERED))
-    )
+    few = 1.0 if estimate.refit is None else float(stdtrit(n - 1, COVERED) / ndtri(COVERED))
     textbook = np.diag(estimate.covariance)
     determined = textbook > 0
     covariance = drawn.covariance * (few**2 * n / (n - 1.0))

@@ -6,7 +6,7 @@ A torque that is logged late by d is `tau(t) = Y(t - d) beta`, to first order `W
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,13 +16,12 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.errors.common_growth import BlockScores
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, scatter_of, unit_variance
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.held_out import motions_of
-from asbuilt.identification.information.rows import TimeBlock, sample_blocks
+from asbuilt.identification.information.rows import Rows, TimeBlock, sample_blocks
 from asbuilt.identification.result.torque_prediction import torque_in_spans
 
 
@@ -77,8 +76,7 @@ class DelayColumns:
 
     def increments(self, shares: Array) -> Array:
         """Return the delays (m,) [s] that lower the residual most, 0 for undetermined ones."""
-        found = self._solved(shares)
-        return _spread_out(found.solution[len(found.moved) :], found.free, shares.shape[-1])
+        return self._solved(shares).increments(shares.shape[-1])
 
     def solve(self, shares: Array, *, textbook: bool = False) -> DelaySolution:
         """Return the delays that lower the residual most, and what they add to other errors.
@@ -98,7 +96,7 @@ class DelayColumns:
         covariance[np.ix_(found.free, found.free)] = inverse
         follows = np.zeros((len(self.root), m))
         follows[:, found.free] = -self.root @ found.moved
-        return DelaySolution(self.increments(shares), covariance, follows, len(self.blocks))
+        return DelaySolution(found.increments(m), covariance, follows, len(self.blocks))
 
     def _solved(self, shares: Array) -> _Solved:
         """Return the fit of base parameters and delays together, by elimination."""
@@ -158,12 +156,11 @@ class _Solved:
     root: Array
     free: Indices
 
-
-def _spread_out(x: Array, places: Indices, m: int) -> Array:
-    """Return m numbers, x at their places and 0 elsewhere."""
-    found = np.zeros(m)
-    found[places] = x
-    return found
+    def increments(self, m: int) -> Array:
+        """Return all m delays, those that are not free 0."""
+        found = np.zeros(m)
+        found[self.free] = self.solution[len(self.moved) :]
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,30 +214,37 @@ def delay_columns(
     samples: Sequence[Samples],
     *,
     block_seconds: float | None = None,
+    rows: Rows | None = None,
 ) -> DelayColumns:
-    """Return the normal equations of an estimate with a delay of each recording and joint."""
-    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=3)
+    """Return the normal equations of an estimate with a delay of each recording and joint.
+
+    `rows` are those of the samples, if they are at hand.
+    """
+    rows = Rows(model, base, samples, block_seconds) if rows is None else rows
     root, weights, n = estimate.solution.inverse_root, estimate.weights, model.n_joints
     r = root.shape[1]
     parts: list[tuple[Array, Array, Array, Array, Array, int]] = []
     blocks: list[TimeBlock] = []
     with one_blas_thread():
+        every = iter(rows)
         for place, batch in enumerate(samples):
-            beside = _torque_rates(model, base, estimate.beta, batch)
+            rates = _torque_rates(model, base, estimate.beta, batch)
             for part in sample_blocks(model, [batch], block_seconds):
+                late = np.array([part.filtered(rate.__getitem__) for rate in rates])
                 gram, across = np.zeros((r, r)), np.zeros((r, 2 * n))
                 own, by_delay, by_beta = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), np.zeros(r)
-                for chunk in part.chunks(plan, beside):
-                    for k, rows in enumerate(chunk):
-                        columns, c, tau = rows[:-3], -weights[k] * rows[-3:-1], rows[-1]
-                        x = root[plan.support[k]].T @ columns * weights[k]
-                        e = weights[k] * (tau - estimate.beta[plan.support[k]] @ columns)
-                        both = [k, n + k]
-                        gram += x @ x.T
-                        across[:, both] += x @ c.T
-                        own[np.ix_(both, both)] += c @ c.T
-                        by_delay[both] += c @ e
-                        by_beta += x @ e
+                for k, (columns, support) in enumerate(
+                    zip(next(every).rows, rows.support, strict=True)
+                ):
+                    x = root[support].T @ columns[:-1] * weights[k]
+                    c = -weights[k] * late[:, k]
+                    e = weights[k] * (columns[-1] - estimate.beta[support] @ columns[:-1])
+                    both = slice(k, None, n)
+                    gram += x @ x.T
+                    across[:, both] += x @ c.T
+                    own[both, both] += c @ c.T
+                    by_delay[both] += c @ e
+                    by_beta += x @ e
                 parts.append((gram, across, own, by_beta, by_delay, place))
                 blocks.append(part.time)
     grams, across, own, by_beta, by_delay, places = map(np.array, zip(*parts, strict=True))
@@ -259,10 +263,8 @@ def delay_columns(
     )
 
 
-def _torque_rates(
-    model: RobotModel, base: BaseParameters, beta: Array, samples: Samples
-) -> Callable[[slice], list[Array]]:
-    """Return what gives the rates of torque and friction [N m/s], each (L, n), on a span."""
+def _torque_rates(model: RobotModel, base: BaseParameters, beta: Array, samples: Samples) -> Array:
+    """Return the rates of torque and friction [N m/s], (2, N, n)."""
     rigid, torque = np.zeros((2, *samples.q.shape))
     for span, *parts in torque_in_spans(model, base, beta, samples):
         rigid[span], torque[span] = parts
@@ -271,4 +273,4 @@ def _torque_rates(
         if b - a > 1:
             for rate, part in zip(rates, (torque, torque - rigid), strict=True):
                 rate[a:b] = np.gradient(part[a:b], 1.0 / samples.rate, axis=0)
-    return lambda span: [rate[span] for rate in rates]
+    return rates

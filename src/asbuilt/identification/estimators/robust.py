@@ -89,7 +89,12 @@ def estimate_huber(data: EstimationData) -> Estimate:
     chapter 7, with s = mean(rho''); here `_slope_where_it_counts` lowers s, since outliers of a
     robot cluster where its joints reverse.
     """
-    return _robust(data, "huber", huber_loss(), estimate_wls(data))
+    return continue_huber(data, estimate_wls(data))
+
+
+def continue_huber(data: EstimationData, start: Estimate) -> Estimate:
+    """Continue weighted least squares as `estimate_huber` does."""
+    return _robust(data, "huber", huber_loss(), start)
 
 
 @estimator(

@@ -198,19 +198,33 @@ class SquareRootInformation:
 
     def stacked(self, weights: ArrayLike | None = None) -> Array:
         """Return the factor (p + 1, p + 1) of all joints' rows, joint k times `weights[k]` or 1."""
-        return self._stacked(self.joint_factors, weights)
+        return self._stacked(None, weights)
 
     def block_stacked(self, block: int, weights: ArrayLike | None = None) -> Array:
         """Return the factor (p + 1, p + 1) of one time block."""
-        return self._stacked([factors[block] for factors in self.factors], weights)
+        return self._stacked(block, weights)
 
-    def _stacked(self, factors: Sequence[Array], weights: ArrayLike | None) -> Array:
+    @cached_property
+    def _known(self) -> dict[tuple[int | None, bytes], Array]:
+        """Factors by block and weights: many questions are asked with one set of weights."""
+        return {}
+
+    def _stacked(self, block: int | None, weights: ArrayLike | None) -> Array:
         w = np.ones(self.n_joints) if weights is None else np.asarray(weights, dtype=np.float64)
+        found = self._known.get((block, w.tobytes()))
+        if found is not None:
+            return found
+        factors = self.joint_factors if block is None else [own[block] for own in self.factors]
         p = self.base.n_base
         growing = GrowingFactor(p + 1, sum(map(len, factors)))
         for support, factor, weight in zip(self.support, factors, w, strict=True):
             growing.append(weight * factor.T, np.append(support, p))
-        return growing.factor()
+        found = growing.factor()
+        found.setflags(write=False)
+        if len(self._known) > 2 * MOST_BLOCKS:  # those of every block with one set of weights
+            self._known.clear()
+        self._known[block, w.tobytes()] = found
+        return found
 
     def residual_energy(self, beta: ArrayLike) -> Array:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).

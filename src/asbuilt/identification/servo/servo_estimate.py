@@ -61,17 +61,17 @@ class ServoEstimate:
         return limited(self._sought, np.inf if goal is None else goal.acceleration)
 
     @property
+    def precedes_command(self) -> bool:
+        """Whether the torque precedes its command by three standard errors, which no delay does."""
+        error = self.errors.delay
+        # 1e-3: time [s] by which a torque may precede its command for reasons of sampling.
+        return bool(error > 0.0 and (self.servo.delay or 0.0) + 3.0 * error < -1e-3)
+
+    @property
     def _sought(self) -> PositionServo:
         """The servo, its limit NaN where it was sought."""
         found = np.where(self.errors.goal_sought, np.nan, self.servo.goal_acceleration)
         return replace(self.servo, goal_acceleration=tuple(found.tolist()))
-
-
-def precedes_command(found: ServoEstimate) -> bool:
-    """Whether the torque precedes its command by three standard errors, which no delay does."""
-    error = found.errors.delay
-    # 1e-3: time [s] by which a torque may precede its command for reasons of sampling: own choice.
-    return bool(error > 0.0 and (found.servo.delay or 0.0) + 3.0 * error < -1e-3)
 
 
 def estimate_servo(

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal as signals
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
@@ -242,11 +241,11 @@ def position_noise(recording: Recording) -> Array:
     runs = [rows for rows in _runs(recording) if rows.size >= RULES.window]
     if not runs:
         return np.zeros(recording.q.shape[1])
+    from scipy.signal import welch  # noqa: PLC0415 - light start
+
     parts = []
     for rows in runs:
-        frequency, density = signals.welch(
-            recording.q[rows], 2.0, window="hann", nperseg=RULES.window, detrend="constant", axis=0
-        )
+        frequency, density = welch(recording.q[rows], 2.0, nperseg=RULES.window, axis=0)
         parts.append(np.mean(density[frequency > RULES.above], axis=0))
     weights = [rows.size for rows in runs]
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))

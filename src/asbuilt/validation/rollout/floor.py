@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -11,7 +12,9 @@ from scipy.spatial import KDTree
 
 from asbuilt.arrays import Array
 from asbuilt.identification.calibration.delay import RULES
-from asbuilt.identification.trajectories.windows import Windows
+
+if TYPE_CHECKING:
+    from asbuilt.identification.trajectories.windows import Windows
 
 
 @dataclass(frozen=True, slots=True)

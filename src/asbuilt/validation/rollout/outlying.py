@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.identification.trajectories.windows import Windows
+
+if TYPE_CHECKING:
+    from asbuilt.identification.trajectories.windows import Windows
 
 OUTLYING = 2.5
 """Error of a window, in medians of all windows, beyond which it is outlying: own choice."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +14,6 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import InertiaError
 from asbuilt.executor import Workers, results_in_order
 from asbuilt.findings import Cure, Finding, joined
-from asbuilt.identification.trajectories.drive_signal import DrivenBy
-from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
-from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
-from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.validation.rollout.errors import (
     RecordingErrors,
     RolloutErrors,
@@ -28,6 +24,11 @@ from asbuilt.validation.rollout.errors import (
 )
 from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
 from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, outlying_windows
+
+if TYPE_CHECKING:
+    from asbuilt.identification.trajectories.drive_signal import DrivenBy
+    from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
+    from asbuilt.identification.trajectories.windows import Windows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,6 +217,10 @@ def _floor(model: RobotModel, windows: Sequence[Windows]) -> RolloutErrors | Non
 
 def _simulated(task: tuple[SimulatedRobot | None, Windows]) -> Array | str | None:
     """Return the motion of a robot, None without one, or why it cannot be simulated."""
+    from asbuilt.identification.trajectories.mujoco_engine import (  # noqa: PLC0415 - light start
+        simulate_windows,
+    )
+
     robot, windows = task
     try:
         return None if robot is None else simulate_windows(robot.centred(windows.step), windows)

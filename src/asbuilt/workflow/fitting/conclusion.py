@@ -45,7 +45,6 @@ from asbuilt.workflow.delays import delay_findings
 from asbuilt.workflow.fitting.fits import Fits
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import servo_findings, servo_notes
-from asbuilt.workflow.simulation.refinement import refinement_findings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +175,7 @@ def _model_findings(
             prepared.chain.cutoff if prepared.chain else None,
         ),
         *servo_findings(fits.model, fits.servo, fits.choice.drive),
-        *refinement_findings(fits.refined),
+        *(fits.refined.findings() if fits.refined else ()),
         *(cause_findings(attribution) if fits.model.has_masses else ()),
     )
 

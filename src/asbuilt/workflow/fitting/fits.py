@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,14 +31,16 @@ from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.search import Effects, find_effects
 from asbuilt.identification.identify import Fit, fit_samples
-from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.generalisation.plateaus import Plateau, plateaus, without_plateaus
 from asbuilt.validation.prediction import Validation, friction_torque, predict_both
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress
 from asbuilt.workflow.servo import delays_of, with_delay_errors
-from asbuilt.workflow.simulation.refinement import Refined, refine_study
-from asbuilt.workflow.simulation.rollout import SimulatedParts
+
+if TYPE_CHECKING:
+    from asbuilt.identification.servo.servo_estimate import ServoEstimate
+    from asbuilt.workflow.simulation.refinement import Refined
+    from asbuilt.workflow.simulation.rollout import SimulatedParts
 
 ADDED = (
     "Stribeck friction was added since the simulated motion calls for it; simulators whose dry"
@@ -107,7 +110,7 @@ def fit_study(
     prepared: Prepared,
     options: StudyOptions,
     servo: ServoEstimate | None,
-    parts: SimulatedParts,
+    parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
     """Find the effects that the description lacks, and fit.
@@ -125,7 +128,7 @@ def fit_study(
     servo
         The position servo that was identified before, if any.
     parts
-        What a refinement simulates.
+        What a refinement simulates; None without one.
     report
         Called with the name of a step and the fraction done.
     """
@@ -204,7 +207,7 @@ def _fitted(
     prepared: Prepared,
     options: StudyOptions,
     servo: ServoEstimate | None,
-    parts: SimulatedParts,
+    parts: SimulatedParts | None,
     report: Progress,
 ) -> Fits:
     used = prepared.whole or prepared.training
@@ -226,10 +229,12 @@ def _fitted(
         fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
         return with_delay_errors(fit, servo)
 
-    if options.refine is None:
+    if options.refine is None or parts is None:
         final = fitted(used, choice.drive)
         validated = fitted(prepared.training, choice.drive) if prepared.whole else final
         return Fits(model, prepared, final, validated, choice, effects, flat, servo, None)
+    from asbuilt.workflow.simulation.refinement import refine_study  # noqa: PLC0415 - light start
+
     found = refine_study(
         lambda drive: fitted(used, drive),
         choice.drive,

@@ -17,7 +17,7 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.effects.selection import RULES as EFFECT_RULES
 from asbuilt.identification.identify import Fit
-from asbuilt.identification.servo.servo_estimate import ServoEstimate, precedes_command
+from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.identification.trajectories.friction_search import (
     is_friction_at_rest,
     promised_fall,
@@ -100,6 +100,37 @@ class Refined:
             "kept": self.kept,
             "undetermined": list(self.undetermined),
         }
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return what trajectories leave undetermined, or why they are not followed."""
+        if not self.kept:
+            before, after = (
+                "a simulation that cannot start" if each is None else each.text_until
+                for each in (self.before, self.after)
+            )
+            return (
+                Finding(
+                    "refinement_rejected",
+                    "warning",
+                    f"Refined by trajectories, the robot is simulated worse on windows of"
+                    f" {self.horizon:g} s ({after}, before {before}): the result is the fit to"
+                    " torques",
+                    Cure(
+                        "record more motion, or look for contact and limits of the servo in the log"
+                    ),
+                ),
+            )
+        if not self.undetermined:
+            return ()
+        return (
+            Finding(
+                "refinement_undetermined",
+                "info",
+                "Trajectories hardly determine"
+                f" {joined(list(self.undetermined), 8)}; these stay near the fit to torques",
+                Cure("record a motion that moves these joints faster, slower or with reversals"),
+            ),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,7 +285,7 @@ def _of_servo(servo: ServoEstimate | None) -> ServoCoordinates:
     return ServoCoordinates(
         stiffness=any(x != "given" for x in servo.errors.scale),
         delay=servo.errors.delay > 0.0,
-        lead=servo.errors.lead > 0.0 or (precedes_command(servo) and not any(servo.servo.lead)),
+        lead=servo.errors.lead > 0.0 or (servo.precedes_command and not any(servo.servo.lead)),
         spread=_stiffness_spread(servo),
     )
 
@@ -293,38 +324,6 @@ def _errors(
         [_driven(other, cut) for cut in windows],
     )
     return found.cad, found.as_built
-
-
-def refinement_findings(refined: Refined | None) -> tuple[Finding, ...]:
-    """Return what trajectories leave undetermined, or why they are not followed."""
-    if refined is None:
-        return ()
-    if not refined.kept:
-        before, after = (
-            "a simulation that cannot start" if each is None else each.text_until
-            for each in (refined.before, refined.after)
-        )
-        return (
-            Finding(
-                "refinement_rejected",
-                "warning",
-                f"Refined by trajectories, the robot is simulated worse on windows of"
-                f" {refined.horizon:g} s ({after}, before {before}): the result is the fit to"
-                " torques",
-                Cure("record more motion, or look for contact and limits of the servo in the log"),
-            ),
-        )
-    if not refined.undetermined:
-        return ()
-    return (
-        Finding(
-            "refinement_undetermined",
-            "info",
-            "Trajectories hardly determine"
-            f" {joined(list(refined.undetermined), 8)}; these stay near the fit to torques",
-            Cure("record a motion that moves these joints faster, slower or with reversals"),
-        ),
-    )
 
 
 def _windows(parts: Sequence[Simulated], horizon: float) -> list[Windows]:

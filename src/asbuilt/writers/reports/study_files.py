@@ -5,21 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from asbuilt import writers
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Cure
-from asbuilt.identification import IdentificationResult, Payload, gear_ratios, motor_side_parameters
+from asbuilt.identification import IdentificationResult, gear_ratios, motor_side_parameters
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, file_set
 from asbuilt.writers.models.as_built import as_built, keeping_described_drives
-from asbuilt.writers.models.export import load_note, urdf_to_edit
-from asbuilt.writers.models.physical import impossibilities
-from asbuilt.writers.models.robot_toml import write_robot_toml
-from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.tables.drive_tables import motor_side_table
 from asbuilt.writers.tables.mass_tables import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
@@ -30,6 +26,9 @@ from asbuilt.writers.tables.tabular import (
     prediction_table,
     write_json,
 )
+
+if TYPE_CHECKING:
+    from asbuilt.identification import Payload
 
 MEMBERS = (
     "result.json",
@@ -160,6 +159,14 @@ def _write_robot(
     folder: Path, result: IdentificationResult
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     """Write robot.toml and robot.urdf, if there can be such, and note what they lack."""
+    from asbuilt.writers.models.export import (  # noqa: PLC0415 - light start
+        load_note,
+        urdf_to_edit,
+    )
+    from asbuilt.writers.models.physical import impossibilities  # noqa: PLC0415 - light start
+    from asbuilt.writers.models.robot_toml import write_robot_toml  # noqa: PLC0415 - light start
+    from asbuilt.writers.models.urdf import write_urdf  # noqa: PLC0415 - light start
+
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     kind = "robot"

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from asbuilt.codec import plain
 from asbuilt.dynamics import DriveTerm, available_terms
 from asbuilt.findings import joined
-from asbuilt.identification import MotorSideParameter, TorqueGains, TwoChannelEstimate
+from asbuilt.identification import MotorSideParameter
 from asbuilt.tables import Column, Table, percent, plus_minus, stacked
+
+if TYPE_CHECKING:
+    from asbuilt.identification import TorqueGains, TwoChannelEstimate
 
 MOST_NOTES, MOST_ROWS = 3, 14
 """Notes and rows of a short text."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +13,9 @@ from asbuilt.tables import Cell, Column, Table, wrapped
 from asbuilt.validation import Rollout, recording_name, rollout_findings
 from asbuilt.validation.rollout.errors import RolloutErrors, mean_errors, position_unit
 from asbuilt.validation.rollout.joint_errors import in_milli, joint_table
-from asbuilt.workflow.simulation.refinement import Refined
+
+if TYPE_CHECKING:
+    from asbuilt.workflow.simulation.refinement import Refined
 
 TITLE = "Rollout: position error of the simulation from the measured state, driven by the {}"
 

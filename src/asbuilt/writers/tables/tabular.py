@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,9 +29,12 @@ from asbuilt.validation import (
     study_verdict,
     torque_units,
 )
-from asbuilt.workflow import RecordedInformation, Study
+from asbuilt.workflow import Study
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.tables.mass_tables import exported_masses
+
+if TYPE_CHECKING:
+    from asbuilt.workflow import RecordedInformation
 
 MOST_FINDINGS = 12
 """Findings in a document of `identify`, the weightiest; summary.txt and result.json have all."""

@@ -84,7 +84,7 @@ OFF = 0.1
 class Elastic(Effect):
     """Let the link of a joint lag by the torque over the joint's stiffness; its size is 1 / K."""
 
-    key, title, positive = "elastic", "elastic joint, compliance", True
+    key, title, positive, by_span = "elastic", "elastic joint, compliance", True, True
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of a compliance."""

@@ -88,6 +88,7 @@ class Presliding(Effect):
     """
 
     key, title, positive, kind = "presliding", "presliding friction", True, "friction"
+    by_span = True
 
     def unit(self, revolute: bool) -> str:
         """Return the unit of friction."""
