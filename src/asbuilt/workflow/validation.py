@@ -7,6 +7,7 @@ from pathlib import Path
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.experiment.logs.long_recordings import head_of
 from asbuilt.experiment.logs.recordings import (
     Recorded,
@@ -63,6 +64,7 @@ def validate(
     """
     options = options or ValidationOptions()
     result = result.result if isinstance(result, Study) else result
+    refuse_ground(result.robot, result.model.contacts, options.rollout)
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
     found = []
@@ -113,6 +115,7 @@ def validate_robot(
     """
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    refuse_ground(model.name, model.contacts, options.rollout)
     model, (logged,) = fitted_recordings(model, (recordings,))
     return tuple(
         validate_description(
