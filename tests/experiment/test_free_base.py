@@ -202,6 +202,15 @@ def test_quaternions_without_unit_length_are_refused(
     assert np.allclose(read.q, read_recording(log, model=biped).q, atol=1e-12)
 
 
+def test_a_clock_that_stands_is_left_to_the_checks(
+    biped: RobotModel, log: dict[str, Array]
+) -> None:
+    """Feet are looked at before the clock is checked, and must not stumble over it."""
+    stopped = log | {"t": 0.0 * log["t"]}
+    model, (recordings,) = fitted_recordings(biped, ([stopped],))
+    assert not check_recording(model, recordings[0]).ok
+
+
 @pytest.mark.parametrize("column", ["base_z", "base_qw", "contact_r_foot"])
 def test_a_missing_column_is_named(biped: RobotModel, log: dict[str, Array], column: str) -> None:
     rest = {name: values for name, values in log.items() if name != column}

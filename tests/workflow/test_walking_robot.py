@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt import identify
+from asbuilt import identify, roll_out_robot
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.free_base.base_checks import free_base_findings
-from asbuilt.experiment.free_base.columns import base_rotations
+from asbuilt.experiment.free_base.columns import base_rotations, on_its_base
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.recordings import fitted_recordings
 from asbuilt.experiment.recording import Recording
@@ -89,3 +90,13 @@ def test_solo12_predicts_its_last_eight_seconds(solo: RobotModel, log: Recording
     built = as_built(study.result).model
     assert sum(link.inertia.mass for link in built.links) == pytest.approx(2.50, rel=0.03)
     assert "poorly_determined" in {finding.code for finding in study.findings}
+
+
+def test_rollouts_without_a_ground_are_refused_at_once(solo: RobotModel, log: Recording) -> None:
+    for asked in ({"rollout": (0.1,), "holdout": "last:0.4"}, {"refine": "rollout"}):
+        with pytest.raises(UsageError, match="solo touches the ground"):
+            identify(solo, log, **asked)
+    with pytest.raises(UsageError, match="compared by torques"):
+        roll_out_robot(solo, log, (0.1,))
+    with pytest.raises(RecordingError, match="no ground on which"):
+        on_its_base(replace(log, torque_source="command"), solo)

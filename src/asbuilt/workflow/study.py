@@ -13,6 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.codec import plain, restored
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import usual_drive
 from asbuilt.errors import ResultError, UsageError
@@ -238,6 +239,7 @@ def identify(
             base="free" if reading.free_base else "fixed",
             contacts=reading.contacts or "",
         )
+    refuse_ground(robot.name, robot.contacts, wanted.rollout or wanted.refine)
     model, (trained, others) = fitted_recordings(robot, (recordings, validation), reading)
     model = wanted.with_prior(model)
     options = with_settled_holdout(wanted, trained, others) if trained else wanted

@@ -174,3 +174,13 @@ def refuse_free_base(robot: str, n_floating: int, what: str) -> None:
                 "hold its base, if it hangs or stands clamped", settings={"fixed_base": True}
             ),
         )
+
+
+def refuse_ground(robot: str, contacts: Sequence[object], asked: object) -> None:
+    """Raise `UsageError` where `asked` simulates a robot with contacts: no ground is simulated."""
+    if asked and contacts:
+        raise UsageError(
+            f"{robot} touches the ground, and rollouts simulate none on which it could stand; its"
+            " model is compared by torques",
+            cure=Cure("leave out rollouts and what refines by them"),
+        )

@@ -56,9 +56,11 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
     """
     if recording.torque_source == "command":
         raise RecordingError(
-            f"{recording.source} has commands in place of torques, which a robot with a free base"
-            " is not yet identified from",
-            cure=Cure("log torques or motor currents too"),
+            f"{recording.source} has commands in place of torques; what its servos do is found by"
+            " simulation, which has no ground on which a robot with a free base could stand",
+            cure=Cure(
+                "log torques or motor currents too, or record it hung up, its base held still"
+            ),
             file=recording.source,
         )
     contact = _closed_contacts(recording, model) if model.contacts else None

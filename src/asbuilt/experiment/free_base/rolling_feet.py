@@ -66,7 +66,8 @@ def rolling_radii(model: RobotModel, recordings: Sequence[Recording]) -> list[fl
     pieces: list[list[tuple[Array, Array]]] = [[] for _ in model.contacts]
     for recording in recordings:
         part = recording.taken(slice(0, ROLLING.read))
-        if part.contact is None or model.n_floating != 6 or not np.all(np.isfinite(part.q)):
+        readable = np.isfinite(part.rate) and bool(np.all(np.isfinite(part.q)))
+        if part.contact is None or model.n_floating != 6 or not readable:
             continue
         for own, moved, closed in zip(
             pieces, _displacements(flat, part.q), part.contact.T > 0.5, strict=True

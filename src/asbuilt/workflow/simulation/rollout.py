@@ -8,6 +8,7 @@ from pathlib import Path
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.description.structure.free_base import refuse_ground
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.executor import Workers
 from asbuilt.experiment.logs.long_recordings import head_of
@@ -78,8 +79,11 @@ def roll_out_result(
         If no window fits into a recording, or nothing drives its simulation.
     MissingExtraError
         If MuJoCo is not installed.
+    UsageError
+        If the robot touches the ground.
     """
     options = options or ValidationOptions()
+    refuse_ground(result.robot, result.model.contacts, horizons)
     logged = as_recordings(result.model, recordings)
     parts = [_simulated(result, with_servo(item, result.servo), options.chain) for item in logged]
     cad = options.cad
@@ -102,6 +106,7 @@ def roll_out_robot(
     """
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    refuse_ground(model.name, model.contacts, horizons)
     model, (logged,) = fitted_recordings(model, (recordings,))
     chain = options.chain or SignalChain()
     parts = [_whole(with_described_servo(model, item), chain) for item in logged]
