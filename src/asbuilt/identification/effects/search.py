@@ -164,6 +164,7 @@ class _Search:
         self.model, self.drive, self.samples = model, drive, samples
         self.wanted, self.applied, self.stated = wanted, applied, stated
         self.impossible: set[At] = set()
+        self.held = model.has_masses
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
 
@@ -172,8 +173,17 @@ class _Search:
         start = self._given if self.stated else self._far_off
         removed, selection = start(self._selection(()))
         path = selection.run()
+        if self.held and selection.refutes_cad():
+            self.held = selection.held = False
+            selection.taken = [selection.own(each.at) for each in removed]
+            path = selection.run()
         while (first := self._to_remove(path, removed)) is not None:
             own = first.candidate
+            if own.effect.in_model and not selection.holds(own):
+                self.impossible.add(own.at)
+                selection.taken = [selection.own(each.at) for each in removed]
+                path = selection.run()
+                continue
             values, around = _whole(first.values, own, selection), _errors(selection, path)[own.at]
             new = _Removed(own.at, values, around, first.alternatives)
             settled, beside = self._settled([*removed, new])
@@ -371,7 +381,7 @@ class _Search:
         )
         selection = Selection(equations, cad, fit.weights, groups, self.applied)
         selection.taken = [selection.candidate(each.at) for each in removed]
-        selection.impossible = self.impossible
+        selection.impossible, selection.held = self.impossible, self.held
         return selection
 
     def _found(

@@ -10,7 +10,7 @@ from asbuilt.findings import Finding, joined
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.found_effect import FoundEffect
-from asbuilt.identification.result.as_built_parameters import FAR_FROM_CAD, as_built_parameters
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import significant
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
@@ -156,7 +156,7 @@ def _of_bodies(result: IdentificationResult) -> Iterator[Reason]:
         (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)
         for link, mass in zip(links, masses, strict=True)
         if link.has_mass
-        and not 1.0 / FAR_FROM_CAD <= mass / link.inertia.mass <= FAR_FROM_CAD
+        and not 1.0 / RULES.far <= mass / link.inertia.mass <= RULES.far
         and abs(mass - link.inertia.mass) > RULES.heavier * total
     ]
     if off:

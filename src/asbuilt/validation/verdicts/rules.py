@@ -22,6 +22,8 @@ class VerdictRules:
     behind_cad
         Error in multiples of CAD's beyond which a model is not used; errors of one model on two
         motions of one robot differ by less.
+    far
+        Ratio of a link's mass to that of CAD, or its inverse, that no tolerance of CAD explains.
     heavier
         Share of the mass of all links by which a link far from CAD is heavier or lighter, beyond
         which its body imitates something that is not in the model. Light links of a wrist may be
@@ -33,6 +35,7 @@ class VerdictRules:
     useless: float = 0.5
     weak: float = 0.3
     behind_cad: float = 1.25
+    far: float = 1.5
     heavier: float = 0.1
     named: int = 2
 
