@@ -95,14 +95,5 @@ def _from_findings(study: Study) -> Iterator[Effect]:
             drive = each.cure.settings.get("drive", "") if each.cure else ""
             for joints in re.findall(r"spring:joints=([\d/]+)", drive):
                 yield from (Effect("spring", names[int(k) - 1]) for k in joints.split("/"))
-        elif each.code == "link_mass_differs":
-            links = study.result.model.link_names
-            yield from (
-                Effect("link_mass", names[k])
-                for k, link in enumerate(links)
-                if re.search(rf"\b{re.escape(link)}\b", each.message)
-            )
     for each in () if APPLIED else study.effects:
         yield Effect("tilt" if each.effect == "base tilt" else each.effect, each.joint)
-    if study.attribution is not None and "payload" in study.attribution.chosen:
-        yield Effect("payload")

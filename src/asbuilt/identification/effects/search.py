@@ -164,6 +164,7 @@ class _Search:
         self.model, self.drive, self.samples = model, drive, samples
         self.wanted, self.applied, self.stated = wanted, applied, stated
         self.impossible: set[At] = set()
+        self.held = model.has_masses
         time = sum(each.n_samples / each.rate for each in samples)
         self.seconds = float(np.clip(time / LIMITS.blocks, LIMITS.shortest, LIMITS.longest))
 
@@ -172,8 +173,17 @@ class _Search:
         start = self._given if self.stated else self._far_off
         removed, selection = start(self._selection(()))
         path = selection.run()
+        if self.held and selection.refutes_cad():
+            self.held = selection.held = False
+            selection.taken = [selection.own(each.at) for each in removed]
+            path = selection.run()
         while (first := self._to_remove(path, removed)) is not None:
             own = first.candidate
+            if own.effect.in_model and not selection.holds(own):
+                self.impossible.add(own.at)
+                selection.taken = [selection.own(each.at) for each in removed]
+                path = selection.run()
+                continue
             values, around = _whole(first.values, own, selection), _errors(selection, path)[own.at]
             new = _Removed(own.at, values, around, first.alternatives)
             settled, beside = self._settled([*removed, new])
@@ -223,14 +233,14 @@ class _Search:
     def _matters(self, trial: Trial, errors: tuple[float, float]) -> bool:
         """Return whether an effect is named: in the model, or much of the torque error.
 
-        An error of the log at a joint of small torques is named if it lowers that joint's error.
+        What acts at a joint of small torques is named if it lowers that joint's error.
         """
         before, after = errors
-        effect = trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
-        at_joint = effect.of_log and trial.candidate.joint is not None
-        of_log = at_joint and (not trial.relief.size or trial.relief.mean() > RULES.named)
-        return effect.key in self.applied or falls or of_log
+        at_joint = trial.candidate.joint is not None and (
+            not trial.relief.size or trial.relief.mean() > RULES.named
+        )
+        return trial.candidate.effect.key in self.applied or falls or at_joint
 
     def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
         """Return the stated effects that are sure and large enough, and the selection beside them.
@@ -371,7 +381,7 @@ class _Search:
         )
         selection = Selection(equations, cad, fit.weights, groups, self.applied)
         selection.taken = [selection.candidate(each.at) for each in removed]
-        selection.impossible = self.impossible
+        selection.impossible, selection.held = self.impossible, self.held
         return selection
 
     def _found(

@@ -1,4 +1,4 @@
-"""Standard parameters of the robot as built, by a result, and masses unlike CAD."""
+"""Standard parameters of the robot as built, by a result."""
 
 from __future__ import annotations
 
@@ -7,17 +7,12 @@ from functools import lru_cache
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.errors import DescriptionError, IdentifiabilityError
-from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.standard_parameters import (
     StandardParameters,
     standard_parameters,
 )
 from asbuilt.identification.information.known_information import determined_directions
 from asbuilt.identification.result.result import IdentificationResult
-
-FAR_FROM_CAD = 1.5
-"""Ratio of a link's mass to that of CAD, or its inverse, that no tolerance of CAD explains."""
 
 
 @lru_cache(maxsize=8)
@@ -40,35 +35,6 @@ def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> 
         nearest=nearest,
         information=_torque_information(result),
         uncertainty_root=root,
-    )
-
-
-def mass_findings(result: IdentificationResult) -> tuple[Finding, ...]:
-    """Return a finding that names the links of the robot as built whose mass is unlike CAD."""
-    try:
-        found = as_built_parameters(result)
-    except (IdentifiabilityError, DescriptionError):
-        return ()
-    if not found.consistent:
-        return ()
-    masses = found.parameters[9 : 10 * result.model.n_links : 10]
-    far = [
-        f"{link.name} {mass:.3g} kg (CAD {link.inertia.mass:.3g} kg)"
-        for link, mass in zip(result.model.links, masses, strict=True)
-        if link.inertia_known
-        and link.inertia.mass > 0.0
-        and not 1.0 / FAR_FROM_CAD <= mass / link.inertia.mass <= FAR_FROM_CAD
-    ]
-    if not far:
-        return ()
-    return (
-        Finding(
-            "link_mass_differs",
-            "warning",
-            f"Links beyond {FAR_FROM_CAD:g} times their CAD mass, or below 1/{FAR_FROM_CAD:g}, even"
-            f" closest to CAD within the standard errors: {', '.join(far)}",
-            Cure("check gains, tool and description: what is not in the model looks like masses"),
-        ),
     )
 
 

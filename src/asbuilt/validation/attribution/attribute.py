@@ -11,16 +11,15 @@ from scipy.linalg import block_diag
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import ResultError
-from asbuilt.findings import Cure
-from asbuilt.identification.bodies.cad_prior import cad_prior
-from asbuilt.identification.effects.bodies import BodyDifference, explain_bodies
+from asbuilt.findings import Cure, joined
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.families.payload import Payload
+from asbuilt.identification.effects.families.bodies import LinkMass, Payload
 from asbuilt.identification.effects.found_effect import FoundEffect, found_text
 from asbuilt.identification.effects.groups import LINKS, drive_places, group_of, group_title
 from asbuilt.identification.information.cause_data import TILT, CauseData
 from asbuilt.tables import plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
+from asbuilt.validation.attribution.bodies import BodyDifference, explain_bodies
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import tested_values
 from asbuilt.validation.comparison.significance import holm
@@ -28,6 +27,8 @@ from asbuilt.validation.prediction import cad_values, torque_units
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
+
+BODIES = (Payload.key, LinkMass.key)
 
 
 def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> Attribution:
@@ -72,14 +73,12 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     energy = np.where(energy > 0.0, energy, np.inf)
     parts = {key: np.sum(own * (e + left), axis=1) / energy for key, own in y.items()}
     sure = _sure(result, values, changes, bodies)
-    payload = None
-    if bodies.has_payload:
-        payload = _payload(bodies, y[Payload.key], left, torque, data.n_judged)
+    single = _single_bodies(result, bodies, y, left, torque, data.n_judged)
     shares = [
         EffectShare(
             key,
             part,
-            _sizes(result, key, values, payload),
+            _sizes(result, key, values, single),
             sure[key] and bool(np.any(part >= SHOWN.share)),
         )
         for key, part in parts.items()
@@ -94,8 +93,9 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
         rms_chosen=_rms(left, data.n_judged),
         shares=tuple(sorted(shares, key=lambda each: -float(each.share @ np.sum(e**2, axis=1)))),
         unexplained=np.sum(left**2, axis=1) / energy,
-        payload=payload,
-        effects=tuple(each for each in result.effects if each.effect != Payload.key),
+        payload=next((each for each in single if each.effect == Payload.key), None),
+        masses=tuple(each for each in single if each.effect == LinkMass.key),
+        effects=tuple(each for each in result.effects if each.effect not in BODIES),
     )
 
 
@@ -128,8 +128,8 @@ def _bodies(result: IdentificationResult, cad: RobotModel, by_design: Array) -> 
     free = tested_values(result)
     known = free.determined & ~free.dropped & (free.std_errors > 0.0)
     difference = np.where(known, free.estimates - by_design, np.nan)
-    prior = cad_prior(cad, result.base.drive)
-    return explain_bodies(result.base, prior, cad.tool_link, difference, free.covariance)
+    right = not any(EFFECTS[each.effect].of_log for each in result.effects)
+    return explain_bodies(cad, result.base, difference, free.covariance, right_log=right)
 
 
 def _changes(
@@ -142,10 +142,10 @@ def _changes(
     for k in range(base.n_joints):
         for key, places in drive_places(base, k).items():
             found.setdefault(key, np.zeros(base.n_base))[places] = change[places]
-    if bodies.has_payload:
-        tool = 10 * result.model.tool_link
-        found[Payload.key] = base.regrouping[:, tool : tool + 10] @ bodies.payload
-        found[LINKS] = found[LINKS] - found[Payload.key]
+    for each in bodies.bodies:
+        own = base.regrouping[:, 10 * each.link : 10 * each.link + 10] @ each.parameters
+        found[each.key] = found.get(each.key, 0.0) + own
+        found[LINKS] = found[LINKS] - own
     return {key: each for key, each in found.items() if each.any()}
 
 
@@ -160,47 +160,65 @@ def _sure(
     p = {
         key: tested.test_against(np.where(change != 0.0, values, np.nan)).probability
         for key, change in changes.items()
-        if key not in (LINKS, Payload.key)
+        if key not in (LINKS, *BODIES)
     }
     sure = (holm(list(p.values())) <= FALSE_DISCOVERY_RATE).tolist() if p else []
     return {
-        Payload.key: bodies.has_payload,
+        **dict.fromkeys(BODIES, True),
         LINKS: bodies.links_differ,
         TILT: True,
         **dict(zip(p, sure, strict=True)),
     }
 
 
-def _payload(bodies: BodyDifference, y: Array, left: Array, torque: Array, n: int) -> FoundEffect:
-    """Return the payload of torque y, beside what the model leaves of the torque of n samples."""
-    family = EFFECTS[Payload.key]
-    mass, error, unit = family.size(bodies.payload, bodies.covariance, revolute=True)
-    before, after = (
-        float(np.linalg.norm(each) / np.linalg.norm(torque)) for each in (left + y, left)
-    )
-    text = family.size_text(bodies.payload, bodies.covariance, revolute=True)
-    return FoundEffect(
-        effect=family.key,
-        joint=None,
-        estimate=mass,
-        std_error=error,
-        unit=unit,
-        in_model=True,
-        torque=float(np.linalg.norm(y) / np.sqrt(n)),
-        error_before=before,
-        error_after=after,
-        alternatives=(LINKS,) if bodies.links_differ else (),
-        text=found_text(family.title, None, text, before, after),
-    )
+def _single_bodies(
+    result: IdentificationResult,
+    bodies: BodyDifference,
+    y: Mapping[str, Array],
+    left: Array,
+    torque: Array,
+    n: int,
+) -> tuple[FoundEffect, ...]:
+    """Return bodies with their torques, beside what the model leaves of the torque of n samples."""
+    names, joints = result.joint_names, result.base.link_joints
+    found = []
+    for each in bodies.bodies:
+        family = EFFECTS[each.key]
+        joint = None if each.key == Payload.key else names[joints[each.link]]
+        mass, error, unit = family.size(each.parameters, each.covariance, revolute=True)
+        before, after = (
+            float(np.linalg.norm(own) / np.linalg.norm(torque))
+            for own in (left + y[each.key], left)
+        )
+        others = [f"{key} at {names[joints[link]]}" for key, link in each.alike]
+        text = family.size_text(each.parameters, each.covariance, revolute=True)
+        found.append(
+            FoundEffect(
+                effect=each.key,
+                joint=joint,
+                estimate=mass,
+                std_error=error,
+                unit=unit,
+                in_model=True,
+                torque=float(np.linalg.norm(y[each.key]) / np.sqrt(n)),
+                error_before=before,
+                error_after=after,
+                alternatives=(*others, *([LINKS] if bodies.links_differ else [])),
+                text=found_text(family.title, joint, text, before, after),
+            )
+        )
+    return tuple(found)
 
 
 def _sizes(
-    result: IdentificationResult, key: str, values: Array, payload: FoundEffect | None
+    result: IdentificationResult, key: str, values: Array, bodies: tuple[FoundEffect, ...]
 ) -> tuple[str, ...]:
     """Return the parameters of an effect at each joint as text, as changes from CAD."""
     n = result.model.n_joints
-    if key == Payload.key and payload is not None:
-        return (f"{plus_minus(payload.estimate, payload.std_error)} {payload.unit}",) * n
+    if key in BODIES:
+        masses = [each for each in bodies if each.effect == key]
+        texts = [f"{plus_minus(each.estimate, each.std_error)} {each.unit}" for each in masses]
+        return (joined(texts),) * n
     if key in (LINKS, TILT):
         texts = [each.text for each in result.effects if each.effect == key and each.in_model]
         return ("".join(texts).partition(":")[0].removeprefix(group_title(key)).strip(),) * n

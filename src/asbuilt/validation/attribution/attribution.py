@@ -51,6 +51,7 @@ class Attribution:
     | `torque`, `rms_cad`, `rms_chosen` | (n,) RMS torque, error of CAD, and as built |
     | `shares`, `unexplained` | share of each effect, the largest first, and (n,) of none |
     | `payload` | what the flange carries beyond CAD; None without a payload |
+    | `masses` | links whose mass differs from CAD by more than others do |
     | `effects` | what else the recordings show, in the model or not |
     """
 
@@ -64,6 +65,7 @@ class Attribution:
     shares: tuple[EffectShare, ...]
     unexplained: Array
     payload: FoundEffect | None
+    masses: tuple[FoundEffect, ...]
     effects: tuple[FoundEffect, ...]
 
     def __repr__(self) -> str:
@@ -76,6 +78,11 @@ class Attribution:
     def chosen(self) -> tuple[str, ...]:
         """The effects that are named."""
         return tuple(each.effect for each in self.shares if each.named)
+
+    @property
+    def bodies(self) -> tuple[FoundEffect, ...]:
+        """The payload and the masses of links, as effects of the model."""
+        return (*([] if self.payload is None else [self.payload]), *self.masses)
 
     @property
     def explained(self) -> float:
@@ -171,6 +178,7 @@ def findings_of(found: Attribution) -> tuple[str, ...]:
         if "links" in found.payload.alternatives:
             beside = "; its error holds what the links differ from CAD by themselves"
         lines.append(f"The robot carries a {found.payload.text}{beside}.")
+    lines += [f"In this result: {each.text}." for each in found.masses]
     for each in found.effects:
         if each.in_model and not (each.effect in EFFECTS and EFFECTS[each.effect].removable):
             continue

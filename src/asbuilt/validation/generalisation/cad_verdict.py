@@ -10,7 +10,9 @@ import numpy as np
 from scipy.special import stdtr
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.findings import Finding, joined
+from asbuilt.identification.effects.effect import EFFECTS
 from asbuilt.identification.effects.groups import group_title
 from asbuilt.tables import significant
 from asbuilt.validation.comparison.comparison import recording_name
@@ -163,16 +165,18 @@ def cad_verdict_findings(validations: Sequence[Validation]) -> tuple[Finding, ..
     )
 
 
-def cause_findings(attribution: Attribution | None) -> tuple[Finding, ...]:
-    """Return the causes of the CAD error, if any was found."""
+def cause_findings(attribution: Attribution | None, model: RobotModel) -> tuple[Finding, ...]:
+    """Return the causes of the CAD error, and links of another mass, if any were found."""
     if attribution is None or not attribution.chosen:
         return ()
+    masses = [EFFECTS[each.effect].finding(each, model) for each in attribution.masses]
     named = joined([group_title(key) for key in attribution.chosen])
     said = (
         f"Causes of the torque error of CAD: {named}, which explain"
         f" {100 * attribution.explained:.0f} % of its square on {attribution.judged_by}"
     )
-    return (Finding("causes_of_cad_error", "info", said),)
+    causes = Finding("causes_of_cad_error", "info", said)
+    return (*(each for each in masses if each is not None), causes)
 
 
 def _blocks(t: Array) -> Array:

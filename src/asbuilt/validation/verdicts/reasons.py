@@ -11,7 +11,7 @@ from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.findings import Finding, joined
 from asbuilt.identification import FoundEffect, IdentificationResult, non_passive_drives
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.result.as_built_parameters import FAR_FROM_CAD, as_built_parameters
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.tables import significant
 from asbuilt.validation.generalisation.cad_verdict import cad_verdict
 from asbuilt.validation.prediction import Validation
@@ -150,7 +150,7 @@ def _of_bodies(result: IdentificationResult) -> Iterator[Reason]:
         (abs(mass - link.inertia.mass), link.name, mass, link.inertia.mass)
         for link, mass in zip(links, masses, strict=True)
         if link.has_mass
-        and not 1.0 / FAR_FROM_CAD <= mass / link.inertia.mass <= FAR_FROM_CAD
+        and not 1.0 / RULES.far <= mass / link.inertia.mass <= RULES.far
         and abs(mass - link.inertia.mass) > RULES.heavier * total
     ]
     if off:
@@ -194,6 +194,8 @@ class VerdictRules:
     behind_cad
         Error in multiples of CAD's beyond which a model is not used; errors of one model on two
         motions of one robot differ by less.
+    far
+        Ratio of a link's mass to that of CAD, or its inverse, that no tolerance of CAD explains.
     heavier
         Share of the mass of all links by which a link far from CAD is heavier or lighter, beyond
         which its body imitates something that is not in the model. Light links of a wrist may be
@@ -205,6 +207,7 @@ class VerdictRules:
     useless: float = 0.5
     weak: float = 0.3
     behind_cad: float = 1.25
+    far: float = 1.5
     heavier: float = 0.1
     named: int = 2
 

@@ -22,7 +22,6 @@ from asbuilt.identification.effects.search import Effects
 from asbuilt.identification.errors.bias import position_noise_findings
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
-from asbuilt.identification.result.as_built_parameters import mass_findings
 from asbuilt.identification.result.determination import spring_findings
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
@@ -107,8 +106,8 @@ def conclude_study(
     result = replace(result, effects=tuple(as_identified(each, result) for each in named))
     floats = fits.model.n_floating > 0  # columns of one joint are in the rows of all
     attribution = None if cause_data is None or floats else attribute(result)
-    if attribution and attribution.payload and options.wanted_effects.named:
-        result = replace(result, effects=(*result.effects, attribution.payload))
+    if attribution and options.wanted_effects.named:
+        result = replace(result, effects=(*result.effects, *attribution.bodies))
     validations = tuple(
         with_exported(result.of_training, each, samples)
         for each, samples in zip(validations, held, strict=True)
@@ -129,7 +128,6 @@ def conclude_study(
         *unexplained_findings(trained),
         *_model_findings(fits, result, attribution, options),
         *cad_verdict_findings(validations),
-        *mass_findings(result),
         *spring_findings(result),
     )
     shares = _error_shares((*validations, *trained)[0].metrics_as_built)
@@ -176,7 +174,7 @@ def _model_findings(
         ),
         *servo_findings(fits.model, fits.servo, fits.choice.drive),
         *(fits.refined.findings() if fits.refined else ()),
-        *(cause_findings(attribution) if fits.model.has_masses else ()),
+        *(cause_findings(attribution, fits.model) if fits.model.has_masses else ()),
     )
 
 

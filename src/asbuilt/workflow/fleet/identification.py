@@ -12,7 +12,6 @@ from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.result.as_built_parameters import mass_findings
 from asbuilt.identification.result.conclusion import conclude
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.result import IdentificationResult
@@ -77,7 +76,7 @@ def fleet_identify(
     chosen = options or FleetIdentification()
     prior = sibling_prior(opened, robot_id, entries) if chosen.prior == "siblings" else None
     result = identify_entries(entries, chosen, prior)
-    said = [*result.findings, *mass_findings(result), *opened.findings, *_log_findings(entries)]
+    said = [*result.findings, *opened.findings, *_log_findings(entries)]
     return Study(result, ranked(said))
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.identification.effects.families.bodies import Payload
 from asbuilt.identification.effects.families.log import Gain
-from asbuilt.identification.effects.families.payload import Payload
 from asbuilt.identification.effects.families.tilt import Tilt
 from asbuilt.identification.effects.groups import LINKS, drive_places
 from asbuilt.workflow.fleet.drift.columns import Day, FleetColumns, summed

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
 from asbuilt.identification.effects.effect import EFFECTS
-from asbuilt.identification.effects.families.payload import Payload
+from asbuilt.identification.effects.families.bodies import Payload
 from asbuilt.identification.effects.found_effect import FoundEffect
 from asbuilt.identification.effects.groups import LINKS, group_title
 from asbuilt.identification.effects.selection import RULES, worth_of

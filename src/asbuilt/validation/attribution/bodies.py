@@ -1,0 +1,258 @@
+"""What the bodies of a model have beyond CAD: a payload, another mass of a link, and scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import null_space
+from scipy.special import chdtrc, fdtrc
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.identification.effects.families.bodies import LinkMass, Payload
+from asbuilt.identification.effects.selection import RULES
+from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+
+
+@dataclass(frozen=True, slots=True)
+class BodyRules:
+    """Say how far CAD may scatter, what bodies there may be, and what the data determine.
+
+    Scatters are factors on the tolerances of CAD, the last is no CAD at all; amounts are kilograms
+    of a payload or shares of a link. Directions whose singular value is below `weakest`, in the
+    largest, are undetermined.
+    """
+
+    scatters: tuple[float, float] = (0.05, 100.0)
+    amounts: tuple[float, float] = (0.02, 20.0)
+    trials: int = 40
+    weakest: float = 1e-6
+    reach: float = 1.0
+    """Farthest centre of a payload from the frame of the link that carries it [m]."""
+    sizes: tuple[float, ...] = (0.03, 0.1, 0.3)
+    """Sizes of payloads, and distances of their centres from the frame of the link [m]."""
+
+
+BODIES = BodyRules()
+SCATTERS = np.append(0.0, np.geomspace(*BODIES.scatters, BODIES.trials))
+AMOUNTS = np.geomspace(*BODIES.amounts, BODIES.trials)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """Hold a body beyond CAD at a link (from 0): its parameters (10,) with their covariance.
+
+    `key` is the effect that it is, `alike` the effects and links that would explain as much. The
+    covariance holds the scatter of CAD: the worse the rest agrees with CAD, the less is known.
+    """
+
+    key: str
+    link: int
+    parameters: Array
+    covariance: Array
+    alike: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyDifference:
+    """Hold the bodies beyond CAD, and whether the links differ from CAD beside them."""
+
+    bodies: tuple[Body, ...] = ()
+    links_differ: bool = False
+
+
+def explain_bodies(
+    model: RobotModel,
+    base: BaseParameters,
+    difference: Array,
+    covariance: Array,
+    *,
+    right_log: bool = True,
+) -> BodyDifference:
+    """Explain base parameters of links, as built minus CAD, by single bodies and scatter of CAD.
+
+    `d = K z + e + n`: `cov n = C` the errors of the estimate, `cov e = s^2 M` with M the tolerances
+    of CAD, `cov z = a^2 G` with G that of a body of unit amount at one link. The body of the
+    largest likelihood, over all s and a, is tested by its ratio to that without (Wilks, Annals of
+    Math. Statistics 9, 1938), at 5 % over all bodies, and becomes part of C; others are asked
+    again.
+
+    Parameters
+    ----------
+    model, base
+        The robot by CAD, and its base parameters.
+    difference, covariance
+        Base parameters (p,) as built minus CAD, those left out NaN, and their covariance (p, p).
+    right_log
+        Whether no error of the log was found: a wrong gain looks like a heavier link, so that no
+        mass of a link is named beside one.
+    """
+    used = np.flatnonzero((base.columns < 10 * model.n_links) & np.isfinite(difference))
+    K = base.regrouping[used]
+    seen = null_space(_open_columns(model, base)[used].T)
+    if not seen.shape[1]:
+        return BodyDifference()
+    d, C = seen.T @ difference[used], seen.T @ covariance[np.ix_(used, used)] @ seen
+    M = seen.T @ CadTolerance().covariance(model, base)[np.ix_(used, used)] @ seen
+    K = (seen.T @ K)[:, : 10 * model.n_links].reshape(len(d), -1, 10)
+    left = [each for each in _candidates(model) if right_log or each.key == Payload.key]
+    found = list[Body]()
+    while True:
+        scale = _Scale.of(d, C, M)
+        alone = scale.fit(np.zeros((len(d), 1)))
+        fits = [(each, scale.fit(K[:, each.link] @ each.root)) for each in left]
+        fits = [(each, fit) for each, fit in fits if each.is_possible(fit)]
+        if not fits:
+            break
+        best, fit = min(fits, key=lambda each: each[1].least)
+        gain = alone.least - fit.least
+        if _by_chance(gain, len(d)) * len(left) >= 2.0 * RULES.level:  # amounts are not negative
+            break
+        alike = {
+            (each.key, each.link): None
+            for each, own in fits
+            if each.link != best.link and alone.least - own.least > RULES.alike * gain
+        }
+        spread = fit.covariance(best.root)
+        found.append(Body(best.key, best.link, fit.mean(best.root), spread, tuple(alike)))
+        own = K[:, best.link] @ best.root * fit.amount
+        C, left = C + own @ own.T, [each for each in left if each.link != best.link]
+    ratio = alone.deviance[0].min() - alone.least
+    return BodyDifference(tuple(found), float(chdtrc(1, max(ratio, 0.0))) < RULES.level)
+
+
+def _open_columns(model: RobotModel, base: BaseParameters) -> Array:
+    """Return the columns of what CAD says nothing of: drives, and links without mass.
+
+    A rotor is part of the inertia about its axis. Offsets are small beside weights: they hide no
+    mass that a vertical slide carries.
+    """
+    unknown = np.repeat([not link.has_mass for link in model.links], 10)
+    symbols = [s for each in base.drive.terms if each.key != "offset" for s in each.symbols]
+    drives = [name.rstrip("0123456789") in symbols for name in base.standard_names[len(unknown) :]]
+    columns = base.regrouping[:, np.concatenate([unknown, np.array(drives, dtype=np.bool_)])]
+    return np.asarray(columns[:, np.abs(columns).max(axis=0, initial=0.0) > 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    """Hold a body that may be there: its link, and S (10, m) with `S S^T` of a unit amount."""
+
+    key: str
+    link: int
+    root: Array
+    lighter: bool = False
+
+    def is_possible(self, fit: _Fit) -> bool:
+        """Return whether a payload has mass within reach, or a link less than twice its own.
+
+        What is heavier carries something, as a heavier tool link does.
+        """
+        z = fit.mean(self.root)
+        if self.key == Payload.key:
+            heavy = z[9] > RULES.sure * np.sqrt(fit.covariance(self.root)[9, 9])
+            return bool(heavy and np.linalg.norm(z[6:9]) <= BODIES.reach * z[9])
+        mass = float(self.root[9, 0])
+        return bool(-mass < z[9] < (0.0 if self.lighter else mass))
+
+
+def _candidates(model: RobotModel) -> Iterator[_Candidate]:
+    """Yield payloads of some sizes r, with variances of `1, r^2, r^4`, and links made heavier."""
+    for size in BODIES.sizes:
+        own = np.diag(np.repeat([size**2, size, 1.0], [6, 3, 1]))
+        yield _Candidate(Payload.key, model.tool_link, own)
+    for k, link in enumerate(model.links):
+        if link.has_mass:
+            own = link.inertia.parameters[:, None]
+            yield _Candidate(LinkMass.key, k, own, k == model.tool_link)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Hold minus twice the logarithm of the likelihood by scatter and amount (S, A).
+
+    `means` (S, m) and `covariances` (S, m, m) are those of the coefficients of a body that is there
+    for sure, of the largest amount: by a smaller one they are drawn to zero.
+    """
+
+    deviance: Array
+    means: Array
+    covariances: Array
+
+    @property
+    def least(self) -> float:
+        """The least deviance."""
+        return float(self.deviance.min())
+
+    @property
+    def amount(self) -> float:
+        """The amount of the largest likelihood."""
+        return float(AMOUNTS[np.unravel_index(self.deviance.argmin(), self.deviance.shape)[1]])
+
+    def mean(self, root: Array) -> Array:
+        """Return the body's parameters (10,)."""
+        return np.asarray(root @ (self._weights @ self.means))
+
+    def covariance(self, root: Array) -> Array:
+        """Return their covariance (10, 10)."""
+        away = self.means - self._weights @ self.means
+        inner = np.einsum("s,smn->mn", self._weights, self.covariances)
+        between = np.einsum("s,sm,sn->mn", self._weights, away, away)
+        return np.asarray(root @ (inner + between) @ root.T)
+
+    @property
+    def _weights(self) -> Array:
+        """Likelihoods: scatters are equally likely before on a logarithmic scale.
+
+        A scatter that is taken as certain understates errors.
+        """
+        own = np.exp(-0.5 * (self.deviance.min(axis=1) - self.least))
+        return np.asarray(own / own.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scale:
+    """Hold a difference with the covariance `1 + s^2 diag(spread)`, and what turned it so."""
+
+    turn: Array
+    y: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, d: Array, C: Array, M: Array) -> _Scale:
+        """Return the difference of covariance `C + s^2 M`."""
+        size = np.sqrt(np.diag(C))
+        values, axes = np.linalg.eigh(C / np.outer(size, size))
+        white = axes / np.sqrt(np.maximum(values, BODIES.weakest**2 * values[-1])) / size[:, None]
+        spread, own = np.linalg.eigh(white.T @ M @ white)
+        turn = (white @ own).T
+        return cls(turn, turn @ d, np.maximum(spread, 0.0))
+
+    def fit(self, columns: Array) -> _Fit:
+        """Fit columns (d, m) with coefficients of variance a^2, for all scatters and amounts.
+
+        With `X = U diag(w) V^T` after division by the standard deviations, the logarithm of the
+        determinant grows by `log(1 + a^2 w^2)`, and each `(U^T y)^2` counts `1 / (1 + a^2 w^2)`.
+        """
+        deviance, means, covariances = [], [], []
+        for s in SCATTERS:
+            root = np.sqrt(1.0 + s**2 * self.spread)
+            U, w, Vt = np.linalg.svd(self.turn @ columns / root[:, None], full_matrices=False)
+            y = self.y / root
+            g = np.outer(AMOUNTS**2, w**2)
+            kept = 1.0 / (1.0 + g)
+            explained = (1.0 - kept) @ (U.T @ y) ** 2
+            deviance.append(2.0 * np.log(root).sum() + y @ y + np.log1p(g).sum(axis=1) - explained)
+            means.append((AMOUNTS[-1] ** 2 * kept[-1] * w * (U.T @ y)) @ Vt)
+            inner = np.eye(columns.shape[1]) + (Vt.T * (kept[-1] - 1.0)) @ Vt
+            covariances.append(AMOUNTS[-1] ** 2 * inner)
+        return _Fit(np.array(deviance), np.array(means), np.array(covariances))
+
+
+def _by_chance(ratio: float, count: int) -> float:
+    """Return the probability of a likelihood ratio by chance, by F: the scatter is estimated."""
+    freedom = max(count - 1, 1)
+    return float(fdtrc(1, freedom, np.expm1(max(ratio, 0.0) / max(count, 1)) * freedom))
