@@ -82,7 +82,7 @@ def test_no_drive_pushes_by_rounding(trial, robot, weight):
     """
     for seed in range(2):
         case = trial(robot, "viscous,coulomb", noise=0.2, seed=seed, duration=2.0 + 2 * seed)
-        factor, chi = factor_of(case), case.prior.parameters.copy()
+        factor, chi = factor_of(case).copy(), case.prior.parameters.copy()
         chi[case.prior.non_negative] = -np.abs(
             np.random.default_rng(seed).normal(size=len(case.prior.non_negative))
         )
