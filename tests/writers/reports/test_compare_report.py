@@ -37,7 +37,7 @@ def test_no_table_is_cut_off(files: dict[str, Path], width: int, tmp_path: Path)
     )
     shown = run("return document.querySelectorAll('.scroll table').length")
     browser.quit()
-    assert shown == 4
+    assert shown == 3
     assert beyond == 0
 
 

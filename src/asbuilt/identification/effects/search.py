@@ -233,14 +233,14 @@ class _Search:
     def _matters(self, trial: Trial, errors: tuple[float, float]) -> bool:
         """Return whether an effect is named: in the model, or much of the torque error.
 
-        What acts at a joint of small torques is named if it lowers that joint's error.
+        An error of the log at a joint of small torques is named if it lowers that joint's error.
         """
         before, after = errors
+        effect = trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
-        at_joint = trial.candidate.joint is not None and (
-            not trial.relief.size or trial.relief.mean() > RULES.named
-        )
-        return trial.candidate.effect.key in self.applied or falls or at_joint
+        at_joint = effect.of_log and trial.candidate.joint is not None
+        of_log = at_joint and (not trial.relief.size or trial.relief.mean() > RULES.named)
+        return effect.key in self.applied or falls or of_log
 
     def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
         """Return the stated effects that are sure and large enough, and the selection beside them.

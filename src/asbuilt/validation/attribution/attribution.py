@@ -18,10 +18,14 @@ from asbuilt.tables import share as percentage
 
 @dataclass(frozen=True, slots=True)
 class ShownShares:
-    """Say which shares of an error are named: from `share` on, unless more than `left` is open."""
+    """Say which shares of an error are named: from `share` on, unless more than `left` is open.
+
+    In a table the `brief` largest are.
+    """
 
     share: float = 0.05
     left: float = 0.5
+    brief: int = 2
 
 
 SHOWN = ShownShares()
@@ -208,9 +212,10 @@ def sentence(found: Attribution, k: int) -> str:
 
 
 def _brief(shown: Sequence[EffectShare], k: int) -> str:
-    """Return effects with their share; together where some work against the others."""
+    """Return the largest effects with their share; all where some work against the others."""
     if all(each.share[k] > 0 for each in shown):
-        return ", ".join(f"{e.effect} {percentage(float(e.share[k]), 0)}" for e in shown)
+        named = [(e.effect.replace("_", " "), float(e.share[k])) for e in shown[: SHOWN.brief]]
+        return ", ".join(f"{name} {percentage(share, 0)}" for name, share in named)
     total = sum(float(each.share[k]) for each in shown)
     return f"{percentage(total, 0)} {joined([each.effect for each in shown])}"
 

@@ -56,7 +56,11 @@ class Payload(_Body):
 class LinkMass(_Body):
     """Make the link behind a joint heavier or lighter, its centre staying."""
 
-    key, title = "link_mass", "mass beyond CAD of the link"
+    key, title = "link_mass", "mass of a link"
+
+    def size_text(self, values: Array, covariance: Array, *, revolute: bool) -> str:
+        """Return its mass beyond that of CAD."""
+        return f"{super().size_text(values, covariance, revolute=revolute)} beyond CAD"
 
     def finding(self, found: FoundEffect, model: RobotModel) -> Finding:
         """Return how much heavier a link is than the other links let expect."""
