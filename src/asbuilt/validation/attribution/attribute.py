@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from asbuilt.identification.effects.groups import LINKS, drive_places, group_of,
 from asbuilt.identification.information.cause_data import TILT, CauseData
 from asbuilt.tables import plus_minus
 from asbuilt.validation.attribution.attribution import SHOWN, Attribution, EffectShare
-from asbuilt.validation.attribution.bodies import BodyDifference, explain_bodies
+from asbuilt.validation.attribution.bodies import Body, BodyDifference, explain_bodies
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import tested_values
 from asbuilt.validation.comparison.significance import holm
@@ -73,7 +73,10 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     energy = np.where(energy > 0.0, energy, np.inf)
     parts = {key: np.sum(own * (e + left), axis=1) / energy for key, own in y.items()}
     sure = _sure(result, values, changes, bodies)
-    single = _single_bodies(result, bodies, y, left, torque, data.n_judged)
+    added = {str(k): _added(result, each) for k, each in enumerate(bodies.bodies)}
+    by_body = _torques(result, data, values, added)[1]
+    separate = [by_body[key] for key in added]
+    single = _single_bodies(result, bodies, separate, left, torque, data.n_judged)
     shares = [
         EffectShare(
             key,
@@ -143,10 +146,16 @@ def _changes(
         for key, places in drive_places(base, k).items():
             found.setdefault(key, np.zeros(base.n_base))[places] = change[places]
     for each in bodies.bodies:
-        own = base.regrouping[:, 10 * each.link : 10 * each.link + 10] @ each.parameters
+        own = _added(result, each)
         found[each.key] = found.get(each.key, 0.0) + own
         found[LINKS] = found[LINKS] - own
     return {key: each for key, each in found.items() if each.any()}
+
+
+def _added(result: IdentificationResult, body: Body) -> Array:
+    """Return what a body adds to the base parameters, (p,)."""
+    own = slice(10 * body.link, 10 * body.link + 10)
+    return np.asarray(result.base.regrouping[:, own] @ body.parameters)
 
 
 def _sure(
@@ -174,21 +183,20 @@ def _sure(
 def _single_bodies(
     result: IdentificationResult,
     bodies: BodyDifference,
-    y: Mapping[str, Array],
+    torques: Sequence[Array],
     left: Array,
     torque: Array,
     n: int,
 ) -> tuple[FoundEffect, ...]:
-    """Return bodies with their torques, beside what the model leaves of the torque of n samples."""
+    """Return bodies of these torques, beside what the model leaves of the torque of n samples."""
     names, joints = result.joint_names, result.base.link_joints
     found = []
-    for each in bodies.bodies:
+    for each, y in zip(bodies.bodies, torques, strict=True):
         family = EFFECTS[each.key]
         joint = None if each.key == Payload.key else names[joints[each.link]]
         mass, error, unit = family.size(each.parameters, each.covariance, revolute=True)
         before, after = (
-            float(np.linalg.norm(own) / np.linalg.norm(torque))
-            for own in (left + y[each.key], left)
+            float(np.linalg.norm(own) / np.linalg.norm(torque)) for own in (left + y, left)
         )
         others = [f"{key} at {names[joints[link]]}" for key, link in each.alike]
         text = family.size_text(each.parameters, each.covariance, revolute=True)
@@ -200,7 +208,7 @@ def _single_bodies(
                 std_error=error,
                 unit=unit,
                 in_model=True,
-                torque=float(np.linalg.norm(y[each.key]) / np.sqrt(n)),
+                torque=float(np.linalg.norm(y) / np.sqrt(n)),
                 error_before=before,
                 error_after=after,
                 alternatives=(*others, *([LINKS] if bodies.links_differ else [])),
