@@ -470,3 +470,32 @@ def test_what_counts_as_a_look_alike(rows, worth, relief, alike) -> None:
         first, second = (other, best) if alike and applied == ("other",) else (best, other)
         assert found.candidate is first.candidate
         assert found.alternatives == ((second.candidate,) if alike else ())
+
+
+def test_what_came_later_exchanges_an_effect_for_a_better_one_of_its_kind() -> None:
+    """What hides the second column of joint 2 is taken later."""
+
+    def hiding(own, k):
+        if k == 1:
+            own[:, :, 7] = 0.1 * own[:, :, 7] - own[:, :, 6]
+
+    rows = drawn({5: 1.5, 6: 0.5, 7: 0.5, 8: -0.3}, columns=hiding)
+    plain = candidate("spring", 1, 5, kind="position")
+    wider = candidate("balancer", 1, 5, 6, kind="position")
+    candidates = (plain, wider, CANDIDATES[2])
+    selection = rows.selection(candidates, applied=("spring", "balancer", "whole"))
+    first = max(selection.trials([plain, wider]), key=lambda each: each.worth)
+    assert first.candidate.at == plain.at
+    path = selection.run()
+    assert {each.candidate.effect.key for each in path} == {"balancer", "whole"}
+    assert {each.effect.key for each in selection.taken} == {"balancer", "whole"}
+
+    def held_out(inside):
+        return sum(
+            rows.squares(rows.fit(inside, np.setdiff1d(np.arange(BLOCKS), group)), group).sum()
+            for group in GROUPS
+        )
+
+    assert held_out([0, 1, 2, 3, 5, 6, 7, 8]) < held_out([0, 1, 2, 3, 5, 7, 8])
+    only_named = rows.selection(candidates, applied=("spring", "whole"))
+    assert {each.candidate.effect.key for each in only_named.run()} == {"spring", "whole"}
