@@ -75,7 +75,7 @@ def test_the_text_names_slow_joints_and_small_ranges(recording: Recording) -> No
         ),
     )
     np.testing.assert_allclose(slow.top_speed, wide.top_speed / 10, rtol=0.05)
-    assert "slow, in shares of the speed limit" in " ".join(slow.as_text().split())
+    assert "% of the speed limit" in " ".join(slow.as_text().split())
     small = recorded_information(
         model,
         Recording(

@@ -101,13 +101,13 @@ class RecordedInformation:
             narrow = [k for k in self._lacking if self.travel[k] < RULES.narrow]
             rest = [self.joint_names[k] for k in self._lacking if k not in {*slow, *narrow}]
             parts = [
-                self._listed("slow, in shares of the speed limit: ", slow, self.top_speed),
-                self._listed("small range, in shares of the full one: ", narrow, self.travel),
-                "in step or gentle: " + joined(rest) if rest else "",
+                self._listed(slow, self.top_speed, "of the speed limit"),
+                self._listed(narrow, self.travel, "of the range"),
+                f"{joined(rest)}, gently or in step with others" if rest else "",
             ]
             advice = cure_text(BETTER_MOTION)
             paragraphs += [
-                f"Joints that moved too little - {'; '.join(part for part in parts if part)}.",
+                f"Joints that moved too little: {'; '.join(part for part in parts if part)}.",
                 f"{self._worst()} {advice[:1].upper()}{advice[1:]}.",
             ]
         return "\n".join(textwrap.fill(each, 80, subsequent_indent="  ") for each in paragraphs)
@@ -135,9 +135,9 @@ class RecordedInformation:
     def _lacking(self) -> list[int]:
         return [k for k, part in enumerate(self.efficiency.by_joint) if part < RULES.too_little]
 
-    def _listed(self, how: str, joints: list[int], parts: Array) -> str:
+    def _listed(self, joints: list[int], parts: Array, of_what: str) -> str:
         named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
-        return how + joined(named) if named else ""
+        return f"{joined(named)} {of_what}" if named else ""
 
     def _beyond(self) -> str:
         outside = [

@@ -156,13 +156,13 @@ def _lag(
     step = 1.0 / (recording.rate * float(np.mean(recording.not_repeated)))
     middle = float(np.median(lags))
     if abs(middle) > THRESHOLDS.lag * step:
-        low, high = np.sort(np.abs(lags))[[0, -1]]
+        low, high = (f"{1e3 * each:.2g}" for each in np.sort(np.abs(lags))[[0, -1]])
         worst = moving[int(np.argmax(np.abs(lags)))]
         yield Finding(
             "velocity_lag",
             "info",
             f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative"
-            f" of the positions by {1e3 * low:.2g} to {1e3 * high:.2g} ms, most in"
+            f" of the positions by {low if low == high else f'{low} to {high}'} ms, most in"
             f" {recording.first.joint_names[worst]} (sampling period {1e3 * step:.3g} ms)",
             LEAVE_OUT,
             joint=recording.first.joint_names[worst],
