@@ -255,7 +255,7 @@ class Selection:
             if (each.effect.kind, each.joint) == (own.effect.kind, own.joint)
             and each.at not in self.impossible
             and (each.effect.key in self.applied) >= (own.effect.key in self.applied)
-            and not (each.term and each.term.nonlinear)  # whose parameters are not fitted yet
+            and not (each.term and any(p.fitted for p in each.term.nonlinear))  # at trial values
         ]
         if len({each.at for each in alike}) < 2:
             return None
