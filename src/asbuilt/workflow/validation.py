@@ -186,7 +186,7 @@ def review(
 ) -> Review:
     """Test every number that a description claims with recordings.
 
-    Each number is estimated by weighted least squares with nothing that pulls it to its claim;
+    Each number is estimated by weighted least squares without regularisation toward its claim;
     drive parameters are free as well, and masses, centres and inertias are free within
     `tolerance`. It is contradicted if the difference is significant, supported if the standard
     error is at most half of it, else undetermined.
@@ -230,7 +230,7 @@ def review(
     options = options or StudyOptions()
     if options.rollout or options.refine:
         raise UsageError(
-            "a review judges numbers by torques; rollouts and refinement go with an identification"
+            "a review tests numbers with torques; rollouts and refinement go with an identification"
         )
     if options.method == "auto":
         options = replace(options, method="wls")

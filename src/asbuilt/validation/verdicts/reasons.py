@@ -227,7 +227,7 @@ DIMMING: Mapping[str, str] = MappingProxyType(
         "torque_saturates": "saturated torque{at}",
         "torque_unexplained": "torque that the model does not explain{at}",
         "joint_without_torque": "no torque was logged{at}",
-        "not_excited": "what the motion does not excite is CAD's",
+        "not_excited": "what the motion does not excite stays at CAD",
         "motion_narrow": "tested in part of the range only",
         "motion_slow": "tested at low speed only",
         "does_not_generalise": "errors{at} are more than twice those in training",

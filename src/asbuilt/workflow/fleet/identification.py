@@ -42,9 +42,9 @@ def fleet_identify(
 ) -> Study:
     """Identify a robot from the ledger alone, in milliseconds.
 
-    The parameters equal `identify` on the same logs with the same method, signal chain and
-    drive terms to rounding. So do their standard errors if the logs are 80 s or shorter; longer
-    ones have 16 time blocks each in the ledger.
+    `identify` gives the same parameters, to rounding, on the same logs with the same method, signal
+    chain and drive terms. Standard errors agree too if the logs are 80 s or shorter; longer ones
+    have 16 time blocks each in the ledger.
 
     Parameters
     ----------

@@ -65,8 +65,8 @@ def explain_change(
     """Return the effects in a step of a robot at a day, the most important first.
 
     Each effect alone is fitted to the step by generalised least squares, together with the robot's
-    mean and the variation from day to day in the covariance. The most worthy is taken by the rule of a
-    search for effects, then further ones in addition that are no chance and much of the change.
+    mean and the variation from day to day in the covariance. The rule of a search for effects takes
+    the most worthy, then further ones in addition that are no chance and much of the change.
     """
     columns = directions.columns
     beta = columns.fit(summed(days[: max(place, 1)]), directions.weights, directions.beta)
