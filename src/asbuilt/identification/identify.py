@@ -168,7 +168,7 @@ def identify_samples(
     Returns
     -------
     IdentificationResult
-        Estimates with standard errors, beside CAD, and torque metrics on the samples.
+        Estimates with standard errors, CAD values, and torque metrics on the samples.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def fit_samples(
     fitted_nonlinear: Sequence[NonlinearPlace] = (),
     expected: ExpectedScores | None = None,
 ) -> Fit:
-    """Estimate base parameters and their errors; arguments are those of `identify_samples`.
+    """Estimate base parameters and their errors; arguments as for `identify_samples`.
 
     Scores that are expected of the true parameters are taken away (`expected`).
     """
@@ -310,7 +310,7 @@ def _with_own_load(
     reduced: Callable[[RobotModel], tuple[SquareRootInformation, tuple[Array, ...]]],
     estimated: Callable[[SquareRootInformation, tuple[Array, ...], RobotModel], Estimate],
 ) -> tuple[SquareRootInformation, Estimate]:
-    """Repeat until the load that friction depends on is that of the estimate, not that of CAD."""
+    """Repeat until friction depends on the load of the estimate, not of CAD."""
     base = information.base
     for _ in range(LOAD.most):
         loading = carrying(model, base, estimate.beta)

@@ -29,7 +29,7 @@ class ScreenRules:
     joints
         Joints that the table lists.
     effect_width
-        Characters of an effect beside its torque errors.
+        Characters of an effect next to its torque errors.
     """
 
     lines: int = 25

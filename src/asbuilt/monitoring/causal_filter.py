@@ -17,7 +17,7 @@ LARGEST = 3.0
 ORDER = 4
 """Order of the differences in which noise shows and motion does not."""
 SLOWEST = 0.1
-"""Share of the samples, the slowest, in which noise is sought."""
+"""Share of the samples, the slowest, from which noise is estimated."""
 
 
 class CausalFilter:
@@ -63,7 +63,7 @@ class CausalFilter:
 
 
 def filter_pole(bandwidth: float, rate: float) -> float:
-    """Return the pole [rad/s] beside an observer of `bandwidth` [Hz] at a sampling rate [Hz]."""
+    """Return the pole [rad/s] for an observer of `bandwidth` [Hz] at a sampling rate [Hz]."""
     # 0.25: fastest pole per sampling rate; a faster one passes quantisation on.
     # 4.0: pole of the filter per pole of the observer, so that it is late by half of the observer's
     # lag.
@@ -71,7 +71,7 @@ def filter_pole(bandwidth: float, rate: float) -> float:
 
 
 def pole_for(steps: Array, bandwidth: float) -> float:
-    """Return the pole [rad/s] beside an observer of `bandwidth` [Hz] for time steps [s] of a log.
+    """Return the pole [rad/s] for an observer of `bandwidth` [Hz] and time steps [s] of a log.
 
     Steps that are not positive do not count.
     """
@@ -82,7 +82,7 @@ def pole_for(steps: Array, bandwidth: float) -> float:
 def filtered_log(dt: Array, q: Array, tau: Array, pole: float) -> tuple[Array, Array, Array, Mask]:
     """Return filtered positions, their derivatives and filtered torques of a log, three (N, n).
 
-    `dt` (N,) are the steps before each sample; one that is not positive starts anew. The mask (N,)
+    `dt` (N,) are the steps before each sample; one that is not positive starts again. The mask (N,)
     says where the filter has forgotten its start.
     """
     n = q.shape[1]
@@ -108,7 +108,7 @@ def largest_velocity_error(
 ) -> Array:
     """Return the largest error (n,) of velocities [rad/s or m/s]: three standard deviations.
 
-    Noise is that of fourth differences (their median size, without those that are 0), in which
+    Noise is estimated from fourth differences (their median size, without zeros), in which
     motion within the bandwidth of a robot hardly shows. It is taken from the slowest tenth of the
     samples: where direction may be unknown, and where an irregular clock makes no noise.
 
@@ -153,7 +153,7 @@ def _noise(x: Array, rate: Array) -> Array:
 
 
 def _derivative_gain(pole: float, spacing: float) -> float:
-    """Return the standard deviation of the filter's derivative per that of white noise."""
+    """Return the standard deviation of the filter's derivative for unit white noise."""
     running, total = CausalFilter(pole), 0.0
     running.start(np.zeros(1))
     running.age = SETTLED / pole

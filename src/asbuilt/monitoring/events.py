@@ -60,7 +60,7 @@ class Event:
     joints
         Joints beyond their thresholds at any time, in the order of the chain.
     link
-        Link at or beyond which a contact acts: that of the last joint that responds.
+        Link at or beyond which a contact acts: the link of the last joint that responds.
     residual, threshold
         External torque and threshold at the peak, (n,) [N m or N].
     contact
@@ -206,8 +206,8 @@ def payload_change(
     """Return the change of mass [kg] at a link that explains the residual, and its error, or None.
 
     `scale` (N, n) are standard deviations of the residual. Errors of the model last as long as a
-    pose does, so the standard error is that of clusters of `RULES.cluster` seconds (Liang and
-    Zeger, 1986).
+    pose does, so the standard error is computed over clusters of `RULES.cluster` seconds (Liang
+    and Zeger, 1986).
     """
     t = observed.t
     spacing = max(

@@ -37,7 +37,7 @@ class ModelError:
 
     @classmethod
     def of(cls, robot: Any) -> ModelError:
-        """Return the error of an identified robot; that of a described one counts as 0."""
+        """Return the error of an identified robot; a described robot counts as exact."""
         if not isinstance(robot, IdentificationResult):
             empty = np.empty((0, 0))
             return cls(getattr(robot, "model", robot), DriveSet(()), np.empty(0, int), empty)
@@ -83,7 +83,7 @@ class ModelError:
 class Observed:
     """Hold what an observer makes of a log.
 
-    `t` (N,), `share` (N,) the weight of each new sample, -1 where the observer starts anew; `q`,
+    `t` (N,), `share` (N,) the weight of each new sample, -1 where the observer starts again; `q`,
     `qd`, the lagged acceleration `qdd`, the lagged size `step` of the steps of torque between
     samples, the lagged largest error `unknown_friction` of friction whose direction is unknown, and
     the `residual` (N, n) [N m or N]. `left_out` rows of the log were not valid.
@@ -104,7 +104,7 @@ class Observed:
         return Observed(self.t[rows], self.share[rows], *(x[rows] for x in self._of_joints))
 
     def select(self, keep: Mask) -> Observed:
-        """Return the samples where `keep` (N,) is true; lags start anew after a gap."""
+        """Return the samples where `keep` (N,) is true; lags start again after a gap."""
         share = self.share.copy()
         share[1:][~keep[:-1]] = -1.0
         return Observed(

@@ -20,7 +20,7 @@ from asbuilt.monitoring.thresholds import Thresholds
 BANDWIDTH = 8.0
 """Bandwidth [Hz]: 63 % of a step within 20 ms."""
 LONGEST_STEP = 0.1
-"""Time between samples [s] from which the observer starts anew."""
+"""Time between samples [s] from which the observer starts again."""
 
 
 class MomentumBalance:
@@ -183,7 +183,7 @@ class Observer:
         Parameters
         ----------
         t
-            Time [s]. After more than 0.1 s without a sample the observer starts anew.
+            Time [s]. After more than 0.1 s without a sample the observer starts again.
         q, tau
             Positions [rad or m] and torques [N m or N] of the drives, shape (n,).
         qd

@@ -174,8 +174,8 @@ class Thresholds:
     def covariance(self, observed: Observed, scale: Array, error: ModelError) -> Array:
         """Return the covariance (n, n) of the residuals of one sample without contact.
 
-        That of the model's part is propagated; the rest is independent from joint to joint.
-        `observed` and `scale` (1, n) are those of the sample.
+        The covariance of the model's part is propagated; the rest is independent from joint to
+        joint. `observed` and `scale` (1, n) belong to the sample.
         """
         model = error.covariance(observed.q[0], observed.qd[0], observed.qdd[0])
         part = self.model_part * self.spread
@@ -228,8 +228,8 @@ def set_thresholds(
 
     Residuals, less what errors of known bounds may cause, are divided by their scale S, which
     removes most of what speed and pose change, and the largest of each block follow a tail
-    (`tail_level`). Assumptions: the motions ahead are like those of the recordings, and blocks are
-    independent.
+    (`tail_level`). Assumptions: the motions ahead are like the recorded ones, and blocks
+    are independent.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def set_thresholds(
         Rate of false alarms for the whole robot.
     held_out
         Whether the logs are free of contact. If not, the upper half of the blocks is ignored, and
-        the tail is that of a Gumbel distribution through the rest.
+        the tail follows a Gumbel distribution through the rest.
     filtered
         Whether velocities came from the causal filter; they then must when watching.
 
@@ -333,7 +333,7 @@ def levels(maxima: Array, expected: float) -> Array:
     maxima, has one tail, which begins at its largest half percent. A tail per joint, for the n-th
     part of the rate, would lie n times farther beyond what the recordings show, and count joints
     twice that alarm together. With fewer blocks the ten largest of a joint reach into the bulk of
-    its blocks, which says little of its tail beside those of others; each then has its own.
+    its blocks, which says little of its tail compared with other tails; each then has its own.
 
     Units are errors of the same blocks: a joint whose largest maxima are small by chance has its
     level too low, and its blocks, in these units, would not show it. So the maxima that the tail is
@@ -395,7 +395,7 @@ def _parts(
 
     For each slow speed and least floor they are the most likely for normal residuals of these
     scales, by weighted least squares of the squares; shares of the steps of torque and of the
-    unknown friction are fitted beside them. Of these the one counts that makes thresholds lowest:
+    unknown friction are fitted as well. Of these the one counts that makes thresholds lowest:
     the geometric mean of `level S` with the level that block maxima exceed at the probability, if
     their tail is exponential. The most likely scale alone is not it: where it is too small, a few
     samples would raise the level everywhere.
@@ -415,7 +415,7 @@ def _parts(
     starts = _block_starts(logs, kept, seconds)
     excess = np.maximum(np.abs(residual) - HALF * step - unknown, 0.0) / size
     few = slice(None, None, max(1, len(residual) // LEVELS.most_rows))
-    beside = np.column_stack([step, unknown]) / size
+    extra = np.column_stack([step, unknown]) / size
     least = [least_speed(velocities_before(log), log.qd) for log in logs]
     best: tuple[float, tuple[float, float, float, float, float]] | None = None
     for part in SLOW:
@@ -429,7 +429,7 @@ def _parts(
         columns = np.column_stack(
             [np.ones(len(speed)), slowness, (speed / top) ** 2, (model / size) ** 2]
         )
-        whole = np.column_stack([columns, beside**2])[few]
+        whole = np.column_stack([columns, extra**2])[few]
         for floor in LEAST:
             found = _variances(whole, (residual[few] / size) ** 2, floor)
             scale = np.sqrt(columns @ found[:4])

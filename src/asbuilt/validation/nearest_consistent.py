@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class PoorPrediction:
     """Say when a joint is predicted poorly; own choices.
 
-    Its error exceeds `error` times that of the identified model and `noticeable` of its torque.
+    Its error exceeds `error` times the identified model's error and `noticeable` of its torque.
     """
 
     error: float = 1.5
@@ -67,17 +67,17 @@ class NearestModel:
 
     def objection(self) -> str:
         """Return which joints it predicts poorly; empty if none."""
-        said = [
+        poor = [
             f"{self.joint_names[k]}: {significant(self.nearest[k])} {self.units[k]} RMS in place"
             f" of {significant(self.identified[k])} (of {significant(self.torque[k])})"
             for k in self.bad
         ]
-        if not said and self.worse_than_cad:
+        if not poor and self.worse_than_cad:
             return "CAD predicts the recording better"
-        return "; ".join(said)
+        return "; ".join(poor)
 
     def table(self) -> Table:
-        """Return the errors of both, and of CAD, beside the torque, joint by joint."""
+        """Return the errors of both, and of CAD, with the torque, joint by joint."""
         joints = zip(self.joint_names, self.units, strict=True)
         columns = (
             Column("RMS torque error"),
@@ -116,7 +116,7 @@ class NearestModel:
 
 
 def nearest_model(result: IdentificationResult, beta: ArrayLike) -> NearestModel | None:
-    """Compare other base parameters (p,) with those of a result on its own recordings.
+    """Compare other base parameters (p,) with a result's on its own recordings.
 
     None if the result has no cause data.
     """
@@ -124,7 +124,7 @@ def nearest_model(result: IdentificationResult, beta: ArrayLike) -> NearestModel
     if cause_data is None:
         return None
     places = cause_data.places(result.base.names)
-    fitted, judged = (
+    fitted, held_out = (
         [
             np.column_stack([factor[:, places], factor[:, -1]]) / np.sqrt(n)
             for factor in cause_data.whole(factors)
@@ -143,10 +143,10 @@ def nearest_model(result: IdentificationResult, beta: ArrayLike) -> NearestModel
         joint_names=result.joint_names,
         units=torque_units(result.model),
         judged_by=recording_name(cause_data.judged_by),
-        torque=error(judged, np.zeros(len(values))),
-        identified=error(judged, result.estimates),
-        nearest=error(judged, values),
-        cad=error(judged, np.nan_to_num(result.cad_values, nan=0.0)),
+        torque=error(held_out, np.zeros(len(values))),
+        identified=error(held_out, result.estimates),
+        nearest=error(held_out, values),
+        cad=error(held_out, np.nan_to_num(result.cad_values, nan=0.0)),
         identified_fitted=error(fitted, result.estimates),
         nearest_fitted=error(fitted, values),
     )

@@ -43,8 +43,8 @@ class Validation:
 
     `velocity` is the joint velocity there, `drive` the torque of the identified drive terms that
     follow velocity (friction, offset). `metrics_as_built` and `metrics_cad` measure the two
-    predictions, `metrics_exported` that of the robot which exports carry (None: unknown). Torques
-    are in N m or N, as `units` says joint by joint.
+    predictions, `metrics_exported` the prediction of the robot which exports carry (None: unknown).
+    Torques are in N m or N, as `units` says joint by joint.
     """
 
     source: str

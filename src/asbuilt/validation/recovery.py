@@ -16,11 +16,11 @@ from asbuilt.identification.result.result import IdentificationResult
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recovery:
-    """Hold estimates beside the truth.
+    """Hold estimates with the truth.
 
     `truth`, `estimate` and `std_error` (p,) are of the base parameters `names`; `of_links` (p,)
     says which are of links, not of drives. `torque_error` is the torque error that the parameter
-    errors make along a motion, `|W (estimate - truth)| / |W truth|`; `cad_error` that of CAD.
+    errors make along a motion, `|W (estimate - truth)| / |W truth|`; `cad_error` is CAD's.
     """
 
     robot: str

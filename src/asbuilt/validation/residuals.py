@@ -89,7 +89,7 @@ def durbin_watson(residual: Array, segments: Segments) -> float:
 def ljung_box(rho: Array, n_samples: int, lags: int) -> tuple[float, float]:
     """Return Q = n (n + 2) sum_k rho_k^2 / (n - k) over lags 1..lags, and its probability.
 
-    The probability is that of a larger Q for a white residual. Source: Ljung and Box, Biometrika
+    A white residual has a larger Q with this probability. Source: Ljung and Box, Biometrika
     65 (1978), equation 1.3.
     """
     k = np.arange(1, min(lags, len(rho) - 1, n_samples - 1) + 1)

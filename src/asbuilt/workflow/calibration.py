@@ -132,8 +132,8 @@ def identify_moments(
 ) -> AddedMoments:
     """Identify the first moments that a weight on any link adds, with its mass if determined.
 
-    Arguments as for `identify_payload`; `unloaded` recordings of the same motion make the errors
-    those of the difference.
+    Arguments as for `identify_payload`; with `unloaded` recordings of the same motion the errors
+    cover the difference alone.
     """
     options = options or PayloadOptions()
     result = result.result if isinstance(result, Study) else result

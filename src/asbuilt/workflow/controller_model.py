@@ -32,7 +32,7 @@ EXTERNAL = "tau_ext"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerComparison:
-    """Hold the controller's model beside CAD and the robot as built, on validation data.
+    """Hold the controller's model, CAD and the robot as built, compared on validation data.
 
     `identified` are the parameters identified from the torque that the controller predicts, with
     the same drive terms; `difference` compares them with the result's. `controller` is the error of
@@ -122,7 +122,7 @@ def compare_controller(
     logged = _whole(result, recording)
     external = logged.extra.get(EXTERNAL)
     if external is None or external.shape != logged.tau.shape:
-        present = f"; beside torque it has {', '.join(logged.extra)}" if logged.extra else ""
+        present = f"; it has torque and {', '.join(logged.extra)}" if logged.extra else ""
         raise RecordingError(
             f"{logged.source} has no external torque of each joint ({EXTERNAL}){present}; the"
             f" controller's model is tau - {EXTERNAL}"

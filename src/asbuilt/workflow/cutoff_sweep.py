@@ -52,8 +52,7 @@ SWEEP = SweepRules()
 HOLDOUT, SHORT_HOLDOUT = "blocks:5s:3", "blocks:2s:3"
 """What is held out to choose by where the user holds nothing out, and of short recordings.
 
-A low-pass at 3 Hz takes a second of every block: of blocks of 2 s the error is that of what is
-left.
+A low-pass at 3 Hz takes a second of every block: the error of a 2 s block counts only the rest.
 """
 
 
@@ -215,18 +214,20 @@ def sweep_cutoffs(
         try:
             training, held_out = divided(recordings, at, rule)
             result = identify_samples(model, training, base=base, method=method)
-            judged = [validate_samples(result, held) for held in held_out]
-            if min(item.t.size for item in judged) < SWEEP.fewest:
+            validations = [validate_samples(result, held) for held in held_out]
+            if min(item.t.size for item in validations) < SWEEP.fewest:
                 raise RecordingError("the low-pass leaves too few samples to validate")
         except AsbuiltError as problem:
             last = problem
             continue
         recorded, band = (
-            np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0))
+            np.sqrt(
+                np.mean([getattr(item.metrics_as_built, name) ** 2 for item in validations], axis=0)
+            )
             for name in ("rms_recorded", "rms")
         )
         whiteness, share = np.mean(
-            [whiteness_in_band(each.t, each.error, cutoff) for each in judged], axis=(0, 2)
+            [whiteness_in_band(each.t, each.error, cutoff) for each in validations], axis=(0, 2)
         )
         found.append((cutoff, recorded, band, float(whiteness), float(share)))
     if not found:

@@ -26,7 +26,7 @@ from asbuilt.workflow.prepare import prepare
 
 @dataclass(frozen=True, slots=True)
 class EfficiencyRules:
-    """Hold when a joint moved too little, and what is said of it."""
+    """Hold when a joint moved too little, and what is reported of it."""
 
     too_little: float = 1e-3
     """Efficiency of a joint's worst parameter below which the joint moved too little."""
@@ -35,7 +35,7 @@ class EfficiencyRules:
     narrow: float = 0.3
     """Position range, as a share of the full one or of a turn, below which a joint moved little."""
     beyond: float = 1.05
-    """Factor by which speeds or accelerations exceed a limit that is said."""
+    """Factor by which speeds or accelerations exceed a limit that is reported."""
     most_named: int = 3
     """Parameters named in the text."""
 
@@ -78,7 +78,7 @@ class RecordedInformation:
 
     @property
     def std_error_ratios(self) -> Array:
-        """Standard error of each joint's worst parameter over that of the best motion, (n,).
+        """Standard error of each joint's worst parameter over its value for the best motion, (n,).
 
         The best motion has the same length; infinite if the parameter is undetermined.
         """
@@ -172,7 +172,7 @@ def recorded_information(
 ) -> RecordedInformation:
     """Compare the states of a recording with the best that the robot's limits allow.
 
-    The recording passes the default signal chain; the drive terms are those of its torque source.
+    The recording passes the default signal chain; the drive terms follow its torque source.
 
     Raises
     ------

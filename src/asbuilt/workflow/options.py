@@ -129,7 +129,7 @@ class StudyOptions:
         Directions that no motion excites stay at CAD and are named, or are refused.
     effects
         What the recordings show and the description lacks is put into the model ("auto"), named
-        ("find"), not looked for ("none"), or is that of a list such as "spring:joints=2,tilt".
+        ("find"), not searched for ("none"), or taken from a list such as "spring:joints=2,tilt".
     mounting
         Gravity points as described, or its direction is identified too: the effect `tilt`.
     total_mass
@@ -139,8 +139,8 @@ class StudyOptions:
         Limits of the masses of single moving links [kg] by name, or text such as
         "hand=0.7+-0.05,link_1<=4"; fit and export keep them.
     siblings
-        A robot of the same type as built, or the JSON file of its page: its links and drives are
-        the prior in place of those of the description.
+        A robot of the same type as built, or the JSON file of its page: its links and drives
+        replace the description's as the prior.
     errors
         Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
     block_seconds
@@ -202,7 +202,7 @@ class StudyOptions:
     total_mass: tuple[float, float] | str | None = _option(
         None,
         "KG+-KG[,root=KG]",
-        "mass of all moving links, from a scale; with root=KG less that of the root link",
+        "mass of all moving links, from a scale; with root=KG less the root link's",
         parse=total_mass_from_text,
     )
     link_mass: Mapping[str, tuple[float, float]] | str | None = _option(
@@ -282,7 +282,7 @@ class ValidationOptions:
     Parameters
     ----------
     chain
-        The signal chain; None: that of the result, or else chosen for each recording.
+        The signal chain; None: the result's, or else chosen for each recording.
     cad
         Another description of the robot with the same geometry, in place of the result's.
     rollout
@@ -397,7 +397,7 @@ class ChannelOptions:
     link_side
         Drive terms behind the sensors; None: viscous, Coulomb and offset.
     motor_side
-        Drive terms before the sensors; None: armature, viscous, Coulomb, offset, and those of
+        Drive terms before the sensors; None: armature, viscous, Coulomb, offset, and the terms of
         coupled motors.
     chain
         The signal chain; what it leaves open is chosen from the recordings of the sensors.

@@ -185,7 +185,7 @@ def divided(
 
 
 def settled_rule(recordings: Sequence[Recorded], holdout: str | None) -> str | None:
-    """Return the rule that `AUTOMATIC` stands for: that of the shortest recording."""
+    """Return the rule that `AUTOMATIC` stands for: the usual rule of the shortest recording."""
     return usual_rule(shortest(recordings)) if holdout == AUTOMATIC else holdout
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from asbuilt.workflow.study import Study
 
 LARGEST = 30_000_000
-"""Bytes of a stored result; that of seven joints has 0.4 MB."""
+"""Bytes of a stored result; a result of seven joints has 0.4 MB."""
 
 
 def read_result(path: str | os.PathLike[str]) -> IdentificationResult:

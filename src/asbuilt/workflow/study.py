@@ -59,7 +59,7 @@ enough that what is left out does not add up."""
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study:
-    """Hold a result with all that is said of it.
+    """Hold a result with all that is reported of it.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Study:
 
     @cached_property
     def comparison(self) -> Comparison:
-        """CAD beside as built."""
+        """CAD compared with as built."""
         return compare(self.result, validation=(self.validations or self.training) or None)
 
     @cached_property
@@ -143,9 +143,10 @@ class Study:
 
     def to_json(self) -> str:
         """Return result and findings as JSON that `from_json` reads back to the last bit."""
-        said = [{"code": each.code, "message": each.text} for each in self.findings]
+        warnings = [{"code": each.code, "message": each.text} for each in self.findings]
         return self.result.to_json(
-            warnings=said, study={"findings": plain(self.findings), "verdict": plain(self.verdict)}
+            warnings=warnings,
+            study={"findings": plain(self.findings), "verdict": plain(self.verdict)},
         )
 
     @classmethod
@@ -193,16 +194,16 @@ def identify(
         One recording or several: paths, data frames, dictionaries of arrays, `Recording`,
         `RecordingStream`, or `Samples` already prepared.
     validation
-        Recordings to validate on, beside what `options.holdout` holds out.
+        Recordings to validate on, in addition to what `options.holdout` holds out.
     options
         How to identify; None: the defaults.
     workers
-        Who simulates rollouts, to the same bits: those of `open_workers`; None: this process.
+        Workers of `open_workers` that simulate rollouts, to the same bits; None: this process.
     progress
         Called with the name of a step and the fraction done.
     **settings
-        Single fields of `StudyOptions` and `ReadingOptions` in place of those of `options`, such as
-        `method="wls", rate=1000`; texts as on the command line.
+        Single fields of `StudyOptions` and `ReadingOptions` that replace fields of `options`, such
+        as `method="wls", rate=1000`; texts as on the command line.
 
     Returns
     -------
@@ -258,8 +259,10 @@ def identify(
     fits = fit_study(model, prepared, options, servo, parts, report)
     prepared = fits.prepared
     report("predict", 0.0)
-    said = hold_out_findings(wanted, prepared, trained, bool(others) or bool(prepared.held_out))
-    concluded = conclude_study(fits, options, cutoffs, said)
+    held_out_findings = hold_out_findings(
+        wanted, prepared, trained, bool(others) or bool(prepared.held_out)
+    )
+    concluded = conclude_study(fits, options, cutoffs, held_out_findings)
     report("compare", 1.0)
     study = Study(
         concluded.result,

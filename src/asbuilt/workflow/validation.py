@@ -44,11 +44,11 @@ def validate(
     *,
     options: ValidationOptions | None = None,
 ) -> tuple[Validation, ...]:
-    """Predict recordings with an identified model, and with CAD beside it.
+    """Predict recordings with an identified model, and with CAD.
 
     A recording goes through the signal chain that the result was made with. Of a recording that
     the result was identified from, only what was held out is predicted, if anything was. So the
-    numbers are those of the study.
+    numbers equal the study's.
 
     Parameters
     ----------
@@ -102,8 +102,10 @@ def validation_verdict(
     own = result.holdout is None and all(
         not isinstance(each, Samples) and digest(head_of(each)) in result.digests for each in logged
     )
-    said = (Finding("nothing_held_out", "warning", "the result was identified from these logs"),)
-    return study_verdict(result, said if own else (), validations, rollouts)
+    in_training = (
+        Finding("nothing_held_out", "warning", "the result was identified from these logs"),
+    )
+    return study_verdict(result, in_training if own else (), validations, rollouts)
 
 
 def validate_robot(
@@ -182,10 +184,10 @@ def review(
     options: StudyOptions | None = None,
     progress: Progress | None = None,
 ) -> Review:
-    """Judge every number that a description claims by recordings.
+    """Test every number that a description claims with recordings.
 
-    Each number is estimated by weighted least squares with nothing that pulls it to its claim;
-    drive parameters beside it are free, and masses, centres and inertias are free within
+    Each number is estimated by weighted least squares without regularisation toward its claim;
+    drive parameters are free as well, and masses, centres and inertias are free within
     `tolerance`. It is contradicted if the difference is significant, supported if the standard
     error is at most half of it, else undetermined.
 
@@ -196,7 +198,7 @@ def review(
     recordings
         One recording or several, as for `identify`.
     tolerance
-        What is plausible for masses, centres and inertias while another number is judged.
+        What is plausible for masses, centres and inertias while another number is tested.
     options
         How to identify; None: the defaults.
     progress
@@ -228,7 +230,7 @@ def review(
     options = options or StudyOptions()
     if options.rollout or options.refine:
         raise UsageError(
-            "a review judges numbers by torques; rollouts and refinement go with an identification"
+            "a review tests numbers with torques; rollouts and refinement go with an identification"
         )
     if options.method == "auto":
         options = replace(options, method="wls")

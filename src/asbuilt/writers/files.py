@@ -47,7 +47,7 @@ def file_lines(
     """
     lines = []
     for kind in dict.fromkeys((*files, *notes)):
-        said = list(notes.get(kind, ()))
-        lines.append(f"  {kind:<{width}} {files[kind] if kind in files else said.pop(0)}")
-        lines += [f"  {'':<{width}} note: {note}" for note in said]
+        remarks = list(notes.get(kind, ()))
+        lines.append(f"  {kind:<{width}} {files[kind] if kind in files else remarks.pop(0)}")
+        lines += [f"  {'':<{width}} note: {note}" for note in remarks]
     return lines

@@ -37,7 +37,7 @@ LEVELS: dict[Severity, int] = {"info": 20, "warning": 30, "error": 40}
 def write_mcap(path: str | os.PathLike[str], timelines: Sequence[Timeline]) -> Path:
     """Write timelines as one MCAP file; several recordings have topics of their own.
 
-    Times are those of the recordings, from the first on if that is negative.
+    Times are as recorded, from the first on if that is negative.
 
     Raises
     ------
@@ -277,7 +277,7 @@ def timelines_of_validations(
 ) -> list[Timeline]:
     """Return a timeline of each prediction: measured, as built, by CAD, and the error as built.
 
-    Positions are those of the recording that was predicted, at the times of the prediction.
+    Positions come from the recording that was predicted, at the times of the prediction.
     """
     marks = tuple(
         Mark(each.time, each.severity, each.text) for each in findings if each.time is not None

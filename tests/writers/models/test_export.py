@@ -194,7 +194,7 @@ def test_command_refuses_without_writing(
     assert not target.exists()
     status, _, err = call(capsys, "export", stored, "--mjcf", target, "--nearest")
     assert status == 1
-    assert "times that of the identified one" in err
+    assert "times the identified model's" in err
     assert "--method consistent" in err
     assert "--mounting estimate" in err
     assert not target.exists()

@@ -35,7 +35,7 @@ class BodyBounds:
         return BodyBounds(self.rows.copy(), self.offsets + part * size, self.labels)
 
     def raised(self, below: ArrayLike) -> BodyBounds:
-        """Return the bounds as those of `chi - below`."""
+        """Return these bounds as bounds on `chi - below`."""
         return BodyBounds(self.rows.copy(), self.slack(below), self.labels)
 
     def and_also(self, other: BodyBounds) -> BodyBounds:
@@ -57,7 +57,7 @@ def non_negative_drives(prior: CadPrior) -> BodyBounds:
 
 
 def known_bounds(prior: CadPrior) -> BodyBounds:
-    """Return the bounds of masses that are known beside CAD, as from a scale."""
+    """Return the bounds of masses that are known in addition to CAD, such as from a scale."""
     rows: list[Array] = []
     offsets: list[float] = []
     labels: list[str] = []
@@ -92,12 +92,12 @@ def wide_bounds(prior: CadPrior) -> BodyBounds:
     """Return bounds of masses and centres of mass of the order of CAD.
 
     A link has 0.05 to 10 times its CAD mass (or the mass of all links) unless its own is known, and
-    its centre of mass is within two reaches of that of CAD.
+    its centre of mass is within two reaches of the CAD value.
     """
     given = {links[0] for links, _, _ in prior.mass_ranges if len(links) == 1}
     bodies = prior.parameters[: 10 * prior.n_links].reshape(-1, 10)
     total = float(bodies[:, 9].sum())
-    # Default bound of a centre of mass along each axis from that of CAD, in reaches of a link.
+    # Default bound of a centre of mass along each axis from its CAD value, in reaches of a link.
     far = 2.0 * float(prior.reach.max())
     # 0.05: default lower bound of the mass of a link, in CAD masses.
     # 10.0: default upper bound of the mass of a link, in CAD masses; at least the mass of all

@@ -30,8 +30,7 @@ class PriorRules:
     smallest_reach: float = 0.05
     """Least size of a link [m]."""
     negligible: float = 1e-6
-    """Mass [kg] that stands for that of a link said to have none: consistent, and without
-    torque."""
+    """Mass [kg] of a link described without mass: consistent, and without torque."""
     guessed_strength: float = 0.1
     """Weight of a link without CAD values; links with CAD values have 1."""
     unscaled: float = 1e-6
@@ -189,7 +188,7 @@ def body_metric_root(parameters: Array, strength: Array) -> Array:
 def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     """Return the CAD values of a robot as a prior, made physically consistent.
 
-    Flat links get a thickness. A link without mass gets that of its neighbours, a centre between
+    Flat links get a thickness. A link without mass gets its neighbours' mass, a centre between
     its joints and the size of its reach, with a tenth of the weight.
     """
     chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)

@@ -32,7 +32,7 @@ RESOLVED = (1e-11, 1e-9, 1e-7)
 """Least weights of CAD relative to the stiffest direction of the data, against rounding.
 
 They matter only for data with almost no noise. A later one is tried if the solver fails, as for
-torques far from those of CAD.
+torques far from CAD's.
 """
 CERTAIN = 1e-13
 """Tolerance of a proof of infeasibility; large residuals look like proofs at the usual one."""
@@ -158,7 +158,7 @@ class ConicProblem:
         stiffest = float(np.max(np.sum(torque**2, axis=0)))
         for resolved in RESOLVED:
             floored = max(weight, resolved * stiffest)
-            # 1e-3: weight of drive parameters relative to that of links.
+            # 1e-3: weight of drive parameters relative to the weight of links.
             pull = np.concatenate(
                 [
                     np.repeat(floored * prior.strength, 10),

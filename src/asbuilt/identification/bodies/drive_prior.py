@@ -24,7 +24,7 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
     the whole torque of its joint in motion as fast as the robot's. Friction and armature are less,
     so a parameter that the data determine keeps its value; one of a joint that hardly moves, whose
     own column is small, stays next to zero. A larger CAD value is the scale itself; joints without
-    torque have that of the largest torque. Like CAD's, the weight is that of independent samples.
+    torque take the scale of the largest torque. Like CAD's, the weight is for independent samples.
     """
     links, n = 10 * prior.n_links, information.n_joints
     torque = np.sqrt(information.torque_energy / information.n_samples)
@@ -44,7 +44,7 @@ def with_drive_scale(prior: CadPrior, information: SquareRootInformation) -> Cad
 def with_drive_rows(factor: Array, base: BaseParameters, prior: CadPrior) -> Array:
     """Return the factor (p + 1, p + 1) of weighted rows and of the prior of drive parameters.
 
-    The prior is that of base parameters that belong to one drive alone.
+    The prior covers the base parameters that belong to one drive alone.
     """
     first, p = 10 * prior.n_links, base.n_base
     own = np.flatnonzero(base.columns >= first)

@@ -110,10 +110,10 @@ class EntropicProblem:
 
     D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi`
     stays what it is at the start, exactly. Bounds enter with a logarithmic barrier. The variables
-    are those of `fit_consistent_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`.
+    are the same as in `fit_consistent_bodies`, `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`.
     Newton's method on a self-concordant function with a line search; the Hessian of a link is taken
-    as `W^-1 (x) W^-1`, `W Z W = Q`, halfway between the link and its dual `Z -> weight Q^-1`, that
-    of a bound likewise, which anticipates boundaries far from the start (Nesterov & Todd, SIAM J.
+    as `W^-1 (x) W^-1`, `W Z W = Q`, halfway between the link and its dual `Z -> weight Q^-1`; so is
+    the Hessian of a bound, to anticipate boundaries far from the start (Nesterov & Todd, SIAM J.
     Optimization 8, 1998; Boyd & Vandenberghe, Convex Optimization, 2004, sections 9.6 and 11.7;
     Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
     """
@@ -140,7 +140,7 @@ class EntropicProblem:
         self.held = held
 
     def curve(self, hessians: Array, scaling: Array) -> None:
-        """Add to Hessians (m, v, v) those of divergences and drives at W^-1 (m, n_links, 4, 4)."""
+        """Add divergences and drives at W^-1 (m, n_links, 4, 4) to the Hessians (m, v, v)."""
         n = self.inertial
         pairs = (
             scaling[..., SVEC_ROW[:, None], SVEC_ROW]

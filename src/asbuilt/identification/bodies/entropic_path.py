@@ -23,7 +23,7 @@ from asbuilt.identification.bodies.entropic_fit import (
 DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
 """Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
 START_PARTS = (1e-2, 1e-3, 1e-4)
-"""Least pseudo-inertias of the start in those of CAD; the later ones for masses far below CAD."""
+"""Least pseudo-inertias of the start relative to CAD; later ones for masses far below CAD."""
 
 
 class EntropicPath:

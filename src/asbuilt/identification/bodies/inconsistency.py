@@ -88,8 +88,8 @@ def find_inconsistency(
     The cone of consistent base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and
     only if some y is non-negative on all of it and negative at beta (Farkas' lemma for cones: Boyd
     & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T
-    beta|` is one over the distance from beta to the cone in standard errors; `sum |y_j| sqrt(C_jj)`
-    beside it keeps y short. Second-order and semidefinite programs, solved by Clarabel.
+    beta|` is one over the distance from beta to the cone in standard errors; an added
+    `sum |y_j| sqrt(C_jj)` keeps y short. Clarabel solves second-order and semidefinite programs.
     """
     problem = _Separation(
         base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
@@ -98,12 +98,12 @@ def find_inconsistency(
         surest = problem.solve(np.zeros(base.n_base))
         if surest is None:
             return None
-        said = problem.plainest()
-        if said is None:
-            said = problem.shortened(surest)
-    share = np.abs(said) * problem.size
-    order = np.argsort(-share, kind="stable")[: np.count_nonzero(said)]
-    y = said / np.abs(said[order[0]])
+        proof = problem.plainest()
+        if proof is None:
+            proof = problem.shortened(surest)
+    share = np.abs(proof) * problem.size
+    order = np.argsort(-share, kind="stable")[: np.count_nonzero(proof)]
+    y = proof / np.abs(proof[order[0]])
     return Inconsistency(
         names=tuple(base.names[j] for j in order),
         ids=tuple(int(base.ids[j]) for j in order),
@@ -164,19 +164,19 @@ class _Separation:
 
     def shortened(self, surest: Array) -> Array:
         """Return a proof with few parameters, starting from the most significant."""
-        said, prices = surest, np.ones(len(surest))
+        proof, prices = surest, np.ones(len(surest))
         for _ in range(RULES.rounds):
             found = self.solve(prices)
             if found is None:
                 break
-            said = found
-            if np.count_nonzero(said) <= FEW:
+            proof = found
+            if np.count_nonzero(proof) <= FEW:
                 break
-            share = np.abs(said) * self.size
+            share = np.abs(proof) * self.size
             prices = np.minimum(
                 RULES.dearest, share.max() / np.maximum(share, share.max() / RULES.dearest)
             )
-        return said
+        return proof
 
     def solve(self, prices: Array) -> Array | None:
         """Return y (p,), or None if there is no proof.

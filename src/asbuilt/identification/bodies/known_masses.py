@@ -1,4 +1,4 @@
-"""Masses known beside CAD, such as from a scale: of the whole robot, or of single links."""
+"""Masses known in addition to CAD, as from a scale: of the whole robot, or of single links."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def link_masses_from_text(text: str) -> dict[str, Limits]:
 def with_known_masses(
     model: RobotModel, total: Limits | None, links: Mapping[str, Limits]
 ) -> RobotModel:
-    """Return a robot with masses known beside its description.
+    """Return a robot with masses known in addition to its description.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ def with_known_masses(
         most = sum(links.get(name, (0.0, math.inf))[1] for name in model.link_names)
         if least >= total[1] or most <= total[0]:
             raise UsageError(
-                f"the masses given of links ({least:g} to {most:g} kg together) contradict that of"
-                f" all moving links of {model.name}: {total[0]:g} to {total[1]:g} kg"
+                f"the masses given of links ({least:g} to {most:g} kg together) contradict the mass"
+                f" of all moving links of {model.name}: {total[0]:g} to {total[1]:g} kg"
             )
         known.append(MassRange(model.link_names, *total))
     if not known:

@@ -27,8 +27,8 @@ def plausible_parameters(
     """Return the standard parameters closest to CAD within the uncertainty, and their chi-square.
 
     They have the least divergence from CAD with `|R (K chi - beta)|^2 <= limit`, within the bounds
-    of `generous_bounds`. The minimum of the divergence under this limit is that of the entropic
-    fit to R with the weight of CAD that meets it, found by bisection.
+    of `generous_bounds`. The entropic fit to R has the minimum of the divergence under this limit
+    at the weight of CAD that meets the limit; bisection finds it.
 
     Parameters
     ----------

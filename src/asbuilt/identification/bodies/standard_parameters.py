@@ -112,7 +112,7 @@ class StandardParameters:
     def verdict(self) -> str:
         """What these parameters are, as text."""
         margin = (
-            f"the pseudo-inertia of every link is at least {self.part:.2g} of that of CAD (smallest"
+            f"the pseudo-inertia of every link is at least {self.part:.2g} of CAD's (smallest"
             f" eigenvalue {self.smallest_eigenvalue:.2g})"
         )
         if not self.consistent:
@@ -158,9 +158,9 @@ def standard_parameters(
 ) -> StandardParameters:
     """Return the standard parameters with `K chi = beta` of least divergence from CAD.
 
-    With `uncertainty_root` and a consistent beta, they are those of least divergence from CAD
-    whose base parameters are within the uncertainty of beta: what torques do not determine stays
-    near CAD.
+    With `uncertainty_root` and a consistent beta, they have the least divergence from CAD among
+    all whose base parameters are within the uncertainty of beta: what torques do not determine
+    stays near CAD.
 
     If beta is inconsistent, either it is kept with the inconsistent links closest to CAD in the
     metric there, or (`nearest`) the nearest consistent beta with passive drives takes its place.

@@ -72,7 +72,7 @@ def identify_added_moments(
     inertia of its own; offsets of the drives, which drift from day to day, may have changed. What
     has no torque stays at zero and is named as not determined.
 
-    The arm is that of the result, with its covariance. With `unloaded` recordings it is estimated
+    The arm is the result's, with its covariance. With `unloaded` recordings it is estimated
     again with the weight, and time blocks are left out in pairs: errors of the model that both
     recordings of one motion have in common then cancel.
 
@@ -180,7 +180,7 @@ def _jackknife(blocks: Sequence[Array], whole: _Solution) -> Array:
 def _of_arm(
     result: IdentificationResult, rows: PayloadRows, chosen: Sequence[int], solved: _Solution
 ) -> Array:
-    """Return the covariance by that of the bare arm, along the present motion."""
+    """Return the covariance that the bare arm's covariance causes, along the present motion."""
     p = result.n_base
     slope = solved.inverse @ sum(block[:, chosen].T @ block[:, :p] for block in rows.blocks)
     return np.asarray(slope @ result.covariance @ slope.T)

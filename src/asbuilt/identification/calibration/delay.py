@@ -210,7 +210,7 @@ def find_delays(
     """
     fits = _Fits(model, prepare, drive, count, block_seconds)
     n = model.n_joints
-    # One delay per recording is that of all its joints together.
+    # All joints of a recording share one delay.
     common = _per_joint(count, n).reshape(count, 2 * n, count, n).sum(axis=3)
     lags = _friction(count, n)
     together, columns = fits.settled(np.zeros(count), common)

@@ -29,7 +29,7 @@ class EncoderRules:
     better: float = 0.8
     """Share of what is left of the difference from which another form of friction is better."""
     shown: float = 3.0
-    """Standard errors from which damping, rotor and hysteresis are told from none."""
+    """Standard errors from which damping, rotor and hysteresis count as present."""
 
 
 RULES = EncoderRules()
@@ -139,8 +139,8 @@ def identify_encoders(
 
         theta - q = c s - (D / K) (theta - q)' + lag q' + h/2 sign(theta') + a theta + b,
 
-    c = 1 / K, linear in all that is unknown, c I included. Errors are those of the jackknife over
-    time blocks (Miller, Biometrika 61, 1974), which allow for correlated residuals.
+    c = 1 / K, linear in all that is unknown, c I included. Errors come from the jackknife over
+    time blocks (Miller, Biometrika 61, 1974), which allows for correlated residuals.
 
     Parameters
     ----------

@@ -16,10 +16,10 @@ from asbuilt.identification.result.result import IdentificationResult
 
 
 def gravity_scales(result: IdentificationResult) -> Array:
-    """Return the scale of each joint's gravity torque in that of CAD, (n,), NaN if it has none.
+    """Return each joint's gravity torque as a multiple of CAD's, (n,), NaN if it has none.
 
-    The least-squares factor from CAD's torque to that of the result in random static poses within
-    the limits. Offsets that share base parameters with masses count to neither.
+    The least-squares factor from CAD's torque to the torque of the result, in random static poses
+    within the limits. Offsets that share base parameters with masses count to neither.
     """
     n = result.model.n_joints
     scales = np.full(n, np.nan)
@@ -84,7 +84,7 @@ def relative_gain_errors(
 ) -> Array:
     """Return the standard deviation of each joint's gain as fractions, shape (n,).
 
-    `stated` has one for all joints or one each; by default that of the torque source. Raises
+    `stated` has one for all joints or one each; the default depends on the torque source. Raises
     `UsageError` for another number of values, or values outside 0 to 0.5.
     """
     if stated is None:
@@ -107,10 +107,10 @@ def gain_errors_of(
 ) -> Array:
     """Return the standard deviation of each joint's gain as fractions, (n,), by all that is known.
 
-    Without `stated` ones, those of the torque source, wider by what the gravity torques of the
-    result differ from CAD's beyond its tolerance. Torques of motors count as calibrated, to 5 %,
-    if the gravity torques agree with CAD's; otherwise 10 %, as all but those of sensors do where
-    the description has no masses.
+    Without `stated` values, the usual ones of the torque source count, wider by what the gravity
+    torques of the result differ from CAD's beyond its tolerance. Torques of motors count as
+    calibrated, to 5 %, if the gravity torques agree with CAD's; otherwise 10 %, as all torques
+    but a sensor's do where the description has no masses.
     """
     n = result.model.n_joints
     usual = relative_gain_errors(source, n, stated)
@@ -131,7 +131,7 @@ def gains_in_doubt(result: IdentificationResult, source: TorqueSource) -> tuple[
     """Return the joints whose gravity torque differs from CAD's beyond its tolerance.
 
     All of them where the description has no masses, so that nothing shows the scale of torques
-    that are not those of a sensor.
+    that no sensor measured.
     """
     if source != "sensor" and not result.model.has_every_mass:
         return result.model.joint_names
@@ -167,8 +167,8 @@ def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weight
     """Return the contribution of each joint's torque to the arm's base parameters, (p, n).
 
     `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction
-    larger, beta changes by that fraction of column k. W and tau are those of the cause data of the
-    result (held-out data included if they are part of the recordings used), or else those of
+    larger, beta changes by that fraction of column k. W and tau are taken from the cause data of
+    the result (held-out data included if they are part of the recordings used), or else from
     `stand_in`, weighted rows `[W_k | ...]` of other motion with the torque that the result
     predicts. Dropped parameters stay zero.
     """

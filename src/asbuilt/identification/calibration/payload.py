@@ -228,8 +228,8 @@ def identify_payload_samples(
     validation
         Samples for the torque errors, by default the loaded ones.
     gain_uncertainty
-        Standard deviation of the gains as a fraction, one or one per joint; by default that of the
-        torque source, zero for sensors.
+        Standard deviation of the gains as a fraction, one or one per joint; the default depends on
+        the torque source, zero for sensors.
     block_seconds
         Length of a time block [s].
 
@@ -268,7 +268,7 @@ def identify_payload_samples(
             f" {estimate[9]:.3g} kg; expected a positive mass",
             cure=Cure(
                 "check that the recording is loaded, and that torque sign, gains and units agree"
-                " with those of the arm's result"
+                " with the arm's result"
             ),
         )
     parameters, projected = _nearest_body(estimate, noise + gains)
@@ -280,7 +280,7 @@ def identify_payload_samples(
     determined = _determined(values, errors)
     added = np.zeros(10 * result.model.n_links)
     added[10 * link : 10 * link + 10] = shift_matrix(placement) @ parameters
-    judged = list(validation) or batches
+    tested = list(validation) or batches
     return Payload(
         robot=result.robot,
         frame=name,
@@ -306,8 +306,8 @@ def identify_payload_samples(
         arm=beta,
         n_samples=rows.n_samples,
         torque_source=source,
-        metrics=tuple(_metrics(result, samples, beta, added) for samples in judged),
-        metrics_bare=tuple(_metrics(result, samples, result.estimates, None) for samples in judged),
+        metrics=tuple(_metrics(result, samples, beta, added) for samples in tested),
+        metrics_bare=tuple(_metrics(result, samples, result.estimates, None) for samples in tested),
     )
 
 
@@ -316,7 +316,7 @@ def _gain_slopes(
 ) -> Array:
     """Return the change of pi (10, n) per relative change of each joint's torque everywhere.
 
-    pi is linear in all torques; that of joint k enters the result's beta, and the rows of joint k.
+    pi is linear in all torques; joint k's enters the result's beta, and the rows of joint k.
     """
     p = result.n_base
     of_arm = arm_by_joint(result, rows.joints, result.weights)

@@ -75,7 +75,7 @@ class TorqueGains:
     sources
         The recordings.
     of_command
-        Whether the torques were those of position servos, so that the gains are their stiffnesses
+        Whether position servos gave the torques, so that the gains are their stiffnesses
         [N m/rad or N/m].
     """
 
@@ -132,7 +132,7 @@ class TorqueGains:
             (
                 self.of_command,
                 "the gains are the stiffnesses of the position servos; identify takes them as"
-                " exact, so add their relative errors to those of the torques",
+                " exact, so add their relative errors to the torques' errors",
             ),
             (
                 small,
@@ -214,7 +214,7 @@ def identify_gains(
     in_use
         Gains that the samples were multiplied by (`gains_in_use`), which the new ones replace.
     of_command
-        Whether the torques are those of position servos.
+        Whether position servos gave the torques.
 
     Raises
     ------
@@ -412,7 +412,7 @@ class _Problem:
         )
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
-        """Return the RMS torque of the payload over that of the loaded recordings, (n,)."""
+        """Return the payload's RMS torque over the RMS torque of the loaded recordings, (n,)."""
         shares = []
         for k in range(self._n):
             under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])] or [

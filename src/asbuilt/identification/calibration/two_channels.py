@@ -60,7 +60,7 @@ class TwoChannelEstimate:
     robot, joint_names
         The robot.
     names, units, values, std_errors
-        Base parameters of links and link-side drives, then those of the motor side.
+        Base parameters of links and link-side drives, then of the motor side.
     of_motor_side
         Which parameters are of the motor side.
     rms_sensor, rms_motor
@@ -138,7 +138,7 @@ def identify_two_channels(
         Drive terms on the link side.
     motor_side
         Drive terms on the motor side; by default armature, viscous and Coulomb friction and offset,
-        and those of motors that several joints share.
+        and the terms of motors that several joints share.
 
     Raises
     ------

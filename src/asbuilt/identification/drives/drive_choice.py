@@ -87,7 +87,7 @@ def settle_drive(
 ) -> DriveChoice:
     """Return the drive terms to identify with, their nonlinear parameters fitted.
 
-    `drive` is that of `stated_drive`; "auto" adds the terms that the samples show.
+    `drive` is as in `stated_drive`; "auto" adds the terms that the samples show.
     """
     stated = stated_drive(model, samples, drive)
     if not isinstance(drive, str):

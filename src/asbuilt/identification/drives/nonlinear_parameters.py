@@ -41,7 +41,7 @@ class SearchRules:
     at_bound: float = 0.02
     """Distance from an end of the range, as a fraction of the range, that counts as at the end."""
     slowest_share: float = 0.03
-    """Share of slow moving samples of a joint below which no speed parameter is sought."""
+    """Share of slow moving samples of a joint below which no speed parameter is estimated."""
     cycles: int = 10
     """Largest number of cycles over several nonlinear parameters."""
     settled: float = 0.01
@@ -91,7 +91,7 @@ class NonlinearFit:
 
     def sentences(self, joint_names: Sequence[str]) -> tuple[str, ...]:
         """Return a note per nonlinear parameter."""
-        said = []
+        notes = []
         for found in self.nonlinear:
             unit = f" {found.parameter.unit}" if found.parameter.unit else ""
             listed = ", ".join(
@@ -100,15 +100,15 @@ class NonlinearFit:
                     joint_names, found.values, found.determined, strict=True
                 )
             )
-            said.append(
+            notes.append(
                 f"{found.parameter.name} of {found.term}, fitted by variable projection:"
                 f" {listed}{unit}"
             )
-        return tuple(said)
+        return tuple(notes)
 
     def findings(self, joint_names: Sequence[str]) -> tuple[Finding, ...]:
         """Return a finding for each nonlinear parameter that lies at an end of its range."""
-        said = []
+        at_bounds = []
         for found in self.nonlinear:
             unit = f" {found.parameter.unit}" if found.parameter.unit else ""
             bounded = [
@@ -119,7 +119,7 @@ class NonlinearFit:
                 if there
             ]
             if bounded:
-                said.append(
+                at_bounds.append(
                     Finding(
                         "nonlinear_parameters",
                         "warning",
@@ -129,7 +129,7 @@ class NonlinearFit:
                         Cure("leave the term out at these joints, or state the value"),
                     )
                 )
-        return tuple(said)
+        return tuple(at_bounds)
 
 
 def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -> NonlinearFit:
@@ -138,8 +138,8 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
     For joint k and nonlinear parameter s, `min_s |P(s) tau_k|^2` with P the projection off the
     linear columns of joint k, links independent for each joint. The linear parameter of the term is
     non-negative (dissipative), unless the simpler term that it replaces is present. The credible
-    range is first searched on a grid, since the error has several minima. The load of
-    load-dependent terms is that of `model`.
+    range is first searched on a grid, since the error has several minima. Load-dependent terms
+    take their load from `model`.
 
     Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973 (variable projection). Raises
     `IdentifiabilityError` if filtering leaves no samples.
@@ -250,7 +250,7 @@ def credible_range(
 ) -> tuple[Array, Array]:
     """Return the credible range of a nonlinear parameter, two arrays (n,).
 
-    That of its physics, and for a speed that of the recording: `speeds` are |qd| (N, n) of each
+    Physics bounds the range, and the recording bounds a speed: `speeds` are |qd| (N, n) of each
     block. The top speed of a joint is its limit, or the highest of the recording. A speed below the
     slowest few samples is undetermined.
     """
@@ -272,7 +272,7 @@ def credible_range(
 
 
 class _Remaining:
-    """Hold each joint's torque projected off all columns but those of one term."""
+    """Hold each joint's torque projected off the columns of all terms but one."""
 
     def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[SampleBlock]) -> None:
         self._model, self._chosen = model, chosen

@@ -54,7 +54,7 @@ def consistent_draws(
     Draw i is `min |R (K chi - beta_i)|^2 / 2 + weight D(chi || CAD)` with the largest weight of CAD
     at which it is not a tenth of a standard error, or of its distance, farther from its draw than
     without CAD. Where physics does not allow a draw (a negative friction, an impossible link), the
-    nearest possible one takes its place. What the recordings do not determine stays that of CAD.
+    nearest possible one takes its place. What the recordings do not determine stays at CAD.
 
     Parameters
     ----------
@@ -223,10 +223,9 @@ def draw_ensemble(
     Base parameters are drawn from `N(estimates, covariance)`, and if few time blocks gave the
     covariance from Student's distribution with their degrees of freedom; a stiffness of a servo
     that was identified is drawn with its error, and parameters follow the torque scale that it
-    gives: all of
-    them if the joints share one stiffness, else those of the joint's drive, since the links have
-    their scale from CAD. The delay is drawn with its error. Every draw becomes a physically
-    consistent robot (`consistent_draws`), with friction and armature not below zero.
+    gives: all of them if the joints share one stiffness, else the parameters of the joint's drive,
+    since the links have their scale from CAD. The delay is drawn with its error. Every draw becomes
+    a physically consistent robot (`consistent_draws`), with friction and armature not below zero.
 
     Parameters
     ----------
@@ -237,7 +236,7 @@ def draw_ensemble(
     rng
         Seed or generator.
     workers
-        Who makes the draws consistent, to the same bits: those of `open_workers`; None: this
+        Workers of `open_workers` that make the draws consistent, to the same bits; None: this
         process.
 
     Raises
@@ -302,7 +301,7 @@ def draw_ensemble(
 
 
 def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
-    """Return a note on links whose mass in the draws (N, n_standard) is far from that of CAD."""
+    """Return a note on links whose mass in the draws (N, n_standard) is far from its CAD value."""
     masses = np.quantile(drawn[:, 9 : 10 * result.model.n_links : 10], QUANTILES, axis=0)
     cad = [link.inertia.mass for link in result.model.links]
     unlike = [
@@ -313,7 +312,7 @@ def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
     if not unlike:
         return []
     return [
-        "the recordings allow masses unlike those of CAD (5 to 95 % of the draws):"
+        "the recordings allow masses unlike CAD's (5 to 95 % of the draws):"
         f" {'; '.join(unlike)}. Give masses that are known, or record more motion"
     ]
 
@@ -321,8 +320,8 @@ def _heavy(result: IdentificationResult, drawn: Array) -> list[str]:
 def _tails(result: IdentificationResult, n: int, random: np.random.Generator) -> Array:
     """Return the factor of each draw (N,) that makes a normal distribution Student's.
 
-    Standard errors of nu degrees of freedom are wider than those of the estimate, so that 1.96 of
-    them hold 95 % of Student's distribution. The 5 and 95 % quantiles of a normal distribution of
+    Standard errors of nu degrees of freedom are wider than the estimate's, so that 1.96 of them
+    hold 95 % of Student's distribution. The 5 and 95 % quantiles of a normal distribution of
     that width are 7 % too far out with five.
     """
     if result.scatter is None:

@@ -20,8 +20,8 @@ SMALLEST_INFORMATION = 1e-11
 class Candidate:
     """Describe an estimate: its name, and the fits without each group of blocks, (n_folds, p).
 
-    `weight` is that of CAD in its covariance; 0: least squares. `certain` says that the values
-    agree with what is certain, such as that masses are positive.
+    `weight` is the weight of CAD in its covariance; 0: least squares. `certain` says that the
+    values agree with what is certain, such as that masses are positive.
     """
 
     name: str
@@ -39,15 +39,15 @@ class MotionChoice:
     candidates
         The candidates, the closest to CAD first.
     chosen, best
-        The candidate chosen, and that of the least error on other motions.
+        The candidate chosen, and the candidate of the least error on other motions.
     errors
         Squared torque error in noise variances on each held-out group, (n_candidates, n_folds).
     extrapolation
-        Error expected on random motion beyond that on the groups, (n_candidates,).
+        Error expected on random motion beyond the error on the groups, (n_candidates,).
     novelty
-        Leverage of held-out motions on the others, over that of motion used: 1 if they are alike.
+        Leverage of held-out motions on the others, over the leverage of motion used: 1 if alike.
     reach
-        Leverage of random motion within the joint limits over that of the held-out motions.
+        Leverage of random motion within the joint limits over the leverage of held-out motions.
     """
 
     candidates: tuple[Candidate, ...]

@@ -42,7 +42,7 @@ TRIANGLES = stored(
 class CauseData:
     """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of fitted and held-out data.
 
-    The named columns A are those of the base parameters of a result, and `TILT` where a tilt was
+    The named columns A belong to the base parameters of a result, and to `TILT` where a tilt was
     found. Joint k has the columns `support[k]`; `fitted[k]` and `judged[k]` (held out) have shape
     (p_k + 1, p_k + 1). A change x of the parameters changes the torque by `A x`.
     """

@@ -1,4 +1,4 @@
-"""Columns beside those of the base parameters, of which only inner products are kept."""
+"""Columns in addition to the base parameters', of which only inner products are kept."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ which is of another size. So there are three sizes of noise. The residual of `P 
 parts of all equations, `P e`, and for noise that is independent from equation to equation the mean
 square of row k is `sum_j <P_kj^2> sigma_j^2`.
 
-The residual is that of the description. Noise of a pose is in the regressor too, where a fit to it
-explains the noise by bodies that are too light.
+The residual is taken with the description. Noise of a pose is in the regressor too, where a fit to
+it explains the noise by bodies that are too light.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ RULES = EquationRules()
 def with_equation_noise(model: RobotModel, samples: Sequence[Samples]) -> tuple[Samples, ...]:
     """Return samples whose equations are weighted by their noise where feet touch the ground.
 
-    The noise is relative to that of the driven joints. Samples of robots without contacts are
+    The noise is relative to the noise of the driven joints. Samples of robots without contacts are
     returned as they are.
     """
     if not model.contacts or any(each.contact is None for each in samples):
@@ -82,7 +82,7 @@ def _described(model: RobotModel, seen: SquareRootInformation) -> Array:
 def equation_variances(shares: Array, squares: Array) -> Array:
     """Return variances x (m,) of independent noise for which `shares x` is `squares`.
 
-    `shares` (n, m) are the mean squares of the projection and `squares` (n,) those of residuals.
+    `shares` (n, m) are mean squares of the projection and `squares` (n,) mean squares of residuals.
     The updates raise the likelihood of normal residuals (Fevotte, Bertin and Durrieu, Neural
     Computation 21, 2009, with exponent 1/2), from equal variances on.
 

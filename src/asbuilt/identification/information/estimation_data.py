@@ -46,7 +46,7 @@ class EstimationData:
         Robot whose rigid-body torque loads load-dependent friction; `model` if None.
     less
         Parameters of each joint (p_k,) whose torque was taken from the torque in `information`, and
-        is taken from that of the rows; empty: none.
+        is taken from the torque of the rows; empty: none.
     """
 
     model: RobotModel

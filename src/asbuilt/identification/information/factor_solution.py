@@ -139,7 +139,7 @@ def solve_fast(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array,
 
 
 def _echelon(null: Array, scale: Array) -> Array:
-    """Return rows spanning those of `null` / `scale` with few non-zeros, largest coefficient 1."""
+    """Return rows that span the rows of `null` / `scale`, few non-zeros, largest coefficient 1."""
     if len(null) == 0:
         return np.zeros((0, len(scale)))
     _, _, pivots = qr(null, mode="economic", pivoting=True)

@@ -19,8 +19,8 @@ def determined_directions(
 
     `information = D V diag(1 / variances) V^T D`, D = diag(scale). The scale is one over the
     standard errors, zero for dropped and undetermined parameters. Directions beyond the rank of the
-    result are left out if its covariance is singular there; that of estimates regularised toward
-    CAD is not. Without bias the covariance is that of what scatters alone.
+    result are left out if its covariance is singular there; the covariance of estimates
+    regularised toward CAD is not. Without bias the covariance counts scatter alone.
     """
     covariance = np.array(result.covariance)
     if result.bias is not None and not with_bias:

@@ -139,7 +139,7 @@ def sample_blocks(
 ) -> Iterator[SampleBlock]:
     """Yield the time blocks of samples, each within one contiguous segment.
 
-    Raises `IdentifiabilityError` if the joints differ from those of the model.
+    Raises `IdentifiabilityError` if the joints differ from the model's.
     """
     for samples in stream:
         if samples.joint_names != model.joint_names:
@@ -175,7 +175,7 @@ def sample_blocks(
 
 
 class JointFactors:
-    """Reduce rows, and columns beside them, to one factor of each joint for all time blocks."""
+    """Reduce rows, and further columns, to one factor of each joint for all time blocks."""
 
     def __init__(self, plan: RegressorPlan) -> None:
         self._plan = plan

@@ -162,7 +162,7 @@ class SquareRootInformation:
     def less(self, torques: Sequence[Array]) -> SquareRootInformation:
         """Return the information of `tau_k - W_k x_k`, with x_k (p_k,) in `torques`.
 
-        `torque_sum` stays that of the torque itself.
+        `torque_sum` stays the sum of the torque itself.
         """
         factors = []
         for own, x in zip(self.factors, torques, strict=True):
@@ -180,7 +180,7 @@ class SquareRootInformation:
             if other.base.names != self.base.names or other.joint_names != self.joint_names:
                 raise IdentifiabilityError(
                     f"information of {other.base.robot} with drive terms {other.base.drive}"
-                    f" ({other.base.n_base} parameters) cannot be merged with that of"
+                    f" ({other.base.n_base} parameters) cannot be merged with information of"
                     f" {self.base.robot} with drive terms {self.base.drive} ({self.base.n_base}"
                     " parameters)"
                 )
@@ -221,7 +221,7 @@ class SquareRootInformation:
             growing.append(weight * factor.T, np.append(support, p))
         found = growing.factor()
         found.setflags(write=False)
-        if len(self._known) > 2 * MOST_BLOCKS:  # those of every block with one set of weights
+        if len(self._known) > 2 * MOST_BLOCKS:  # factors of every block with one set of weights
             self._known.clear()
         self._known[block, w.tobytes()] = found
         return found
@@ -336,7 +336,7 @@ def accumulate_stream(
     Raises
     ------
     IdentifiabilityError
-        If nothing is left after filtering, or the joints differ from those of the model.
+        If nothing is left after filtering, or the joints differ from the model's.
     """
     n_beside = beside.count if beside else 0
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + n_beside)

@@ -98,14 +98,14 @@ def conclude(
         free_errors.append(omitted.free_covariance)
         notes = (*notes, *([omitted.sentence] if omitted.sentence else []))
     if further_errors:
-        beside, scatter = np.sum(further_errors, axis=0), uncertainty.scatter
+        added, scatter = np.sum(further_errors, axis=0), uncertainty.scatter
         uncertainty = replace(
             uncertainty,
-            covariance=uncertainty.covariance + beside,
+            covariance=uncertainty.covariance + added,
             scatter=(
                 None
                 if scatter is None
-                else scatter.beside(beside, None if omitted is None else omitted.bias)
+                else scatter.beside(added, None if omitted is None else omitted.bias)
             ),
         )
     parameters = _parameters(information, estimate, uncertainty, design)
@@ -115,7 +115,7 @@ def conclude(
         margin = None
     consistent = None if margin is None else margin_is_consistent(margin, estimate.beta)
     non_passive = non_passive_drives(base, estimate.beta)
-    said = estimation_findings(
+    estimation = estimation_findings(
         parameters, estimate, uncertainty, margin if consistent is False else None, non_passive
     )
     return IdentificationResult(
@@ -141,7 +141,7 @@ def conclude(
         cad=cad or information_metrics(information, np.nan_to_num(design, nan=0.0)),
         physically_consistent=None if consistent is None else consistent and not non_passive,
         consistency_margin=margin,
-        findings=(*said, *findings),
+        findings=(*estimation, *findings),
         notes=(*estimate.notes, *notes),
         errors=uncertainty.basis,
         scatter=uncertainty.scatter,

@@ -20,7 +20,7 @@ class TorqueMetrics:
 
     Units are N m for a revolute joint and N for a prismatic one. All are taken in the band that the
     samples' filter passes, except `rms_recorded`. What is unknown is NaN, such as all of a joint
-    without a torque channel; `relative_error` is that of the other joints.
+    without a torque channel; `relative_error` is over the other joints.
 
     | attribute | shape | definition |
     |---|---|---|

@@ -66,7 +66,7 @@ class IdentifiedParameter:
     `std_error` follows the result's `errors`, `textbook_std_error` takes residuals as white.
     `determined` is False if this recording does not determine the parameter, so that `estimate` is
     regularised toward CAD; both errors then cover only the part that is determined.
-    `poorly_determined` is True if the error is large beside the value and matters to the torque.
+    `poorly_determined` is True if the error is large relative to the value and matters to torque.
     `dropped` is True if the estimator set the parameter to zero (method `essential`); both errors
     are then NaN.
     """
@@ -101,7 +101,7 @@ class IdentifiedParameter:
 class IdentificationResult:
     """Hold the result of an identification of a robot with n joints and p base parameters.
 
-    Base parameters include those of drive terms. A result is made once and never changed.
+    Base parameters include drive parameters. A result is made once and never changed.
 
     Attributes
     ----------
@@ -328,7 +328,7 @@ class IdentificationResult:
     def conf_int(self, level: float = USUAL_LEVEL) -> Array:
         """Return confidence intervals, shape (p, 2), by Student's distribution.
 
-        Its `degrees_of_freedom` are those of the standard errors. NaN for dropped parameters.
+        Its `degrees_of_freedom` belong to the standard errors. NaN for dropped parameters.
         Raises `UsageError` unless `level` lies between 0 and 1.
         """
         return confidence_intervals(self.estimates, self.std_errors, self.degrees_of_freedom, level)
@@ -361,7 +361,7 @@ class IdentificationResult:
         of
             A recording, samples, or a prediction of one.
         axes
-            Axes to draw on, one per joint, for parameters one; None: those of a new figure.
+            Axes to draw on, one per joint, for parameters one; None: a new figure.
 
         Returns
         -------
@@ -460,7 +460,7 @@ class IdentificationResult:
         qd: ArrayLike | None = None,
         qdd: ArrayLike | None = None,
     ) -> Prediction | Array:
-        """Predict torque as built: of a recording, beside the torque measured, or of states.
+        """Predict torque as built: of a recording, with the torque measured, or of states.
 
         Parameters
         ----------

@@ -57,7 +57,7 @@ class Summary:
     findings
         What is wrong, or worth knowing, the worst first.
     parameters, joints
-        All parameters beside their CAD values, and the torque errors of all joints.
+        All parameters with their CAD values, and the torque errors of all joints.
     notes
         Assumptions: the standard errors, what is determined, then the estimator's decisions.
     verdict
@@ -165,11 +165,11 @@ def summarise(
     result
         The result.
     findings
-        Findings of the study; None: those of the result.
+        Findings of the study; None: findings of the result.
     verdict
         The verdict of the study.
     """
-    said = ranked(result.findings if findings is None else findings)
+    shown = ranked(result.findings if findings is None else findings)
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_links))
     drives = f" + {n_drive} drive" if n_drive else ""
     return Summary(
@@ -178,7 +178,7 @@ def summarise(
             f" {result.n_base - n_drive} base{drives} parameters"
         ),
         heading=_heading(result),
-        findings=said,
+        findings=shown,
         parameters=_parameter_table(result),
         joints=_joint_table(result),
         notes=(

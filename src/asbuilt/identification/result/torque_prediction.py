@@ -1,4 +1,4 @@
-"""Torque predicted from base parameters beside the torque measured."""
+"""Torque predicted from base parameters, next to the torque measured."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def torque_in_spans(
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Yield spans of samples with the torque of the rigid bodies and of the whole model, (L, n).
 
-    `added` (10 n,) are link parameters that come on top, such as those of a payload.
+    `added` (10 n,) are link parameters that come on top, such as a payload's.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def parameter_torque(
 
 
 def beside_measured(model: RobotModel, samples: Samples, torque: Array) -> Prediction:
-    """Put a predicted torque (N, n), given at every sample, beside the one measured.
+    """Put a predicted torque (N, n), given at every sample, next to the one measured.
 
     Both go through the filter of the samples, less what forces at contacts explain. Torques of
     joints without a torque channel are NaN.
@@ -144,7 +144,7 @@ def beside_measured(model: RobotModel, samples: Samples, torque: Array) -> Predi
     squares, count = np.zeros((1, len(samples.joint_names))), 0
     for span in samples.spans():
         error = samples.tau_raw[span] - torque[span]
-        # row by row, so that the sum is that of all rows at once to the last bit
+        # row by row, so that the sum equals the sum of all rows at once to the last bit
         squares = np.vstack([squares, error**2]).sum(axis=0, keepdims=True)
         count += len(error)
     measured = np.where(samples.has_torque, 1.0, np.nan)
@@ -166,7 +166,7 @@ def predict_torque(
     *,
     added: Array | None = None,
 ) -> Prediction:
-    """Predict `F(Y_b beta)` beside `F(tau)`, F being the filter of the samples, if any.
+    """Predict `F(Y_b beta)` next to `F(tau)`, F being the filter of the samples, if any.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def predict_torque(
     samples
         Prepared samples of a recording.
     added
-        Link parameters (10 n,) that come on top, such as those of a payload.
+        Link parameters (10 n,) that come on top, such as a payload's.
 
     Raises
     ------

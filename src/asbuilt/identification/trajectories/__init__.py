@@ -1,1 +1,1 @@
-"""Simulated motion beside measured motion, and what fits it better."""
+"""Simulated motion compared with measured motion, and parameters that fit it better."""

@@ -21,7 +21,7 @@ FADING = ("stribeck",)
 
 
 BREAKAWAY = 3.0
-"""Largest friction at rest in that of fast motion. Dry hard steel has .78 / .42 = 1.9 (Marks'
+"""Largest friction at rest per friction in fast motion. Dry hard steel has .78 / .42 = 1.9 (Marks'
 Standard Handbook for Mechanical Engineers, table of coefficients of friction); the rest is left to
 lubricant that parts the surfaces. What holds a joint more is no friction of two surfaces, but soft
 contact of a simulator, a deadband, or a servo at its limit."""
@@ -49,7 +49,7 @@ def widened(parameters: Array, drive: DriveSet, wider: DriveSet, n_joints: int) 
 def promised_fall(objective: Objective, found: Refinement, term: DriveTerm) -> float:
     """Return by how much a drive term would lower the cost, by the quadratic model at zero of it.
 
-    The score test: nothing is simulated anew (Rao, Proc. Cambridge Philos. Soc. 44, 1948).
+    The score test: nothing is simulated again (Rao, Proc. Cambridge Philos. Soc. 44, 1948).
     """
     model, drive = objective.trajectories.model, objective.trajectories.base.drive
     n, wider = model.n_joints, drive.with_term(term)
@@ -75,7 +75,7 @@ def promised_fall(objective: Objective, found: Refinement, term: DriveTerm) -> f
 def is_friction_at_rest(drive: DriveSet, values: Array, errors: Array) -> bool:
     """Return whether friction near rest has sizes of two surfaces, within two standard errors.
 
-    `values` and `errors` are those of the drive terms, (n, columns_per_joint).
+    `values` and `errors` are parameters of the drive terms, (n, columns_per_joint).
     """
     of = np.array([term.key for term in drive.terms for _ in term.symbols])
     added, least = (x[:, np.isin(of, FADING)].sum(axis=1) for x in (values, values - 2.0 * errors))

@@ -93,7 +93,7 @@ class Objective:
 
     The coordinates around a point are S_i of every link, `P_i = L_i exp(S_i) L_i^T` with L_i the
     Cholesky factor of its pseudo-inertia, so that every link is physically consistent; drive
-    parameters; and those of the servo.
+    parameters; and servo parameters.
 
     Attributes
     ----------
@@ -270,7 +270,7 @@ class Objective:
     ) -> Quadratic:
         """Return the quadratic model of the cost around a point, starts eliminated.
 
-        `slopes` are those of the point and its motions; None: they are computed.
+        `slopes` belong to the point and its motions; None: they are computed.
         """
         to_z = self._to_parameters(point)
         slopes = self.slopes(point, motions) if slopes is None else slopes

@@ -42,7 +42,8 @@ RULES = FitRules()
 FEW, FEWEST = Steps(rounds=1, most=8), Steps(rounds=1, most=4)
 """Steps by which starts are compared: two, and many that lie along a valley."""
 LATE = (0.0, 0.005, 0.01, 0.015, 0.02)
-"""Delays [s] from which a lead is sought: positions of servo and log are up to a sample late."""
+"""Delays [s] from which the search for a lead starts: positions of servo and log are up to a
+sample late."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,8 +107,8 @@ def refine_fit(
     belief
         Weight of the divergence of links from CAD; infinite holds the links of CAD.
     begin
-        Standard parameters to begin with, (n_standard,), found by trajectories before; None: those
-        of the fit, and other starts of an unknown servo.
+        Standard parameters to begin with, (n_standard,), found by trajectories before; None: from
+        the fit, and other starts of an unknown servo.
     progress
         Called with the fraction done.
     """
@@ -211,7 +212,7 @@ def _servo_errors(objective: Objective, covariance: Array) -> tuple[float, float
 def _better_start(objective: Objective, start: Point, servo: PositionServo) -> Point:
     """Return the start, or one with stiffer servos and no delay, after a few steps of each.
 
-    Stiffness, damping and delay of an unknown servo trade off, so that a search may end beside the
+    Stiffness, damping and delay of an unknown servo trade off, so that a search may miss the
     best of them; a few steps show which start leads lower under the same weights.
     """
     chi = start.chi.copy()

@@ -118,7 +118,7 @@ def weights_of(
     """Return weights by the errors of the windows: of each joint, and less for outlying windows.
 
     Errors along a window are correlated; `inflation` is by how much the variance of the gradient
-    exceeds that of independent errors.
+    exceeds the variance for independent errors.
     """
     errors = objective.errors(motions)
     variance = np.concatenate([np.mean(error**2, axis=1) for error in errors])

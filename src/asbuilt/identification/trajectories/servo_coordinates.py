@@ -22,7 +22,7 @@ class ServoCoordinates:
     """Say what is fitted of a servo, and how coordinates change it.
 
     The coordinates are, as far as they are free, the logarithm of a common factor of all
-    stiffnesses, the delay, and a common addition to the leads. A lead is sought where the torque
+    stiffnesses, the delay, and a common addition to the leads. A lead is estimated if the torque
     seems to precede its command: a derivative gain advances it, and the delay itself, which causes
     nothing before the command, stays at or above zero.
 

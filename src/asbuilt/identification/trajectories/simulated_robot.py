@@ -37,8 +37,8 @@ class SimulatedRobot:
     The steps of `stepping.simulate`, and of MuJoCo, take velocities for those in the middle of a
     step: what drives them is early by half a step, and a damping D, which they have at the end,
     acts as `step / 2 D` more armature. With a signal that is later and an armature that is lower
-    by as much, they are those of the leapfrog method, whose errors are of second order (Hairer,
-    Lubich & Wanner, Acta Numerica 12, 2003), so that the robot is that of small steps. Coriolis
+    by as much, they become steps of the leapfrog method, whose errors are of second order (Hairer,
+    Lubich & Wanner, Acta Numerica 12, 2003), so that the robot moves as with small steps. Coriolis
     forces, half a step early, and the damping of a servo at its torque limit keep first order.
     """
 

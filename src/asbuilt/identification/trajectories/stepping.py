@@ -124,7 +124,7 @@ def _split_drive(program, links, numbers, q, v, load, away, zero, stack, even, o
 def _rubbed(L, first, h, odd, friction, v, W, column, n):
     """Change free velocities v to those under dry friction, whose impulses are kept.
 
-    The impulses before are tried first: they are those of a robot whose joints all slide on.
+    The impulses before are tried first: they are right for a robot whose joints all slide on.
     """
     largest = 0.0
     for j in range(n):
@@ -195,7 +195,7 @@ def simulate(
     `inputs` (W, S, n), `q` and `v` (W, S + 1, n), `a` (W, S, n); `state` (W, S, n) becomes 1 and
     -1 for joints that dry friction brakes, 0 for those that it holds, .5 and -.5 for those without;
     4 is added for those at the torque limit of the servo. `moved_by`, `shares` and `offset`
-    (n_links,) are those of `_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and `falling`
+    (n_links,) are as in `_rigid_bodies`. `rotors` and `damping` are (n, n). `dead` and `falling`
     (n,) are the deadband and how much the limit falls per speed.
     """
     n, windows, steps, links = kp.size, inputs.shape[0], inputs.shape[1], codes.size // CODES

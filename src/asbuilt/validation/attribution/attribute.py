@@ -37,7 +37,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     With y_i the torque of what effect i adds to CAD, `e = tau - tau_CAD` and `r = e - sum y`, the
     share of effect i in the drop |e|^2 - |r|^2 is its Shapley value `y_i . (e + r)` (Shapley,
     1953). CAD is the description as given, without a tilt that was found. Sizes and errors are
-    those of the result; what bodies have beyond CAD is divided by `explain_bodies`.
+    the result's; `explain_bodies` divides what bodies have beyond CAD.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def _torques(
     tilts = [TILT] * (TILT in data.names)
     places = data.places([*result.base.names, *tilts])
     terms = block_diag(np.column_stack([values, *changes.values()]), np.eye(len(tilts)))
-    terms[len(values) :, 0] = -1.0  # columns of links are those under the gravity of the tilt
+    terms[len(values) :, 0] = -1.0  # columns of links hold under the gravity of the tilt
     rows = data.whole(data.judged)
     size = max(map(len, rows))
     both = np.zeros((1 + terms.shape[1], len(rows), size))
@@ -164,7 +164,7 @@ def _sure(
     changes: Mapping[str, Array],
     bodies: BodyDifference,
 ) -> dict[str, bool]:
-    """Return which effects are no chance, at a familywise error rate over those of drives."""
+    """Return which effects are no chance, at a familywise error rate over effects of drives."""
     tested = tested_values(result)
     p = {
         key: tested.test_against(np.where(change != 0.0, values, np.nan)).probability
@@ -188,7 +188,7 @@ def _single_bodies(
     torque: Array,
     n: int,
 ) -> tuple[FoundEffect, ...]:
-    """Return bodies of these torques, beside what the model leaves of the torque of n samples."""
+    """Return bodies of these torques, next to what the model leaves of the torque of n samples."""
     names, joints = result.joint_names, result.base.link_joints
     found = []
     for each, y in zip(bodies.bodies, torques, strict=True):

@@ -178,10 +178,10 @@ def findings_of(found: Attribution) -> tuple[str, ...]:
     """Return sentences on the sizes of the effects, and on what the recordings cannot decide."""
     lines = []
     if found.payload is not None:
-        beside = ""
+        caveat = ""
         if "links" in found.payload.alternatives:
-            beside = "; its error holds what the links differ from CAD by themselves"
-        lines.append(f"The robot carries a {found.payload.text}{beside}.")
+            caveat = "; its error holds what the links differ from CAD by themselves"
+        lines.append(f"The robot carries a {found.payload.text}{caveat}.")
     lines += [f"In this result: {each.text}." for each in found.masses]
     for each in found.effects:
         if each.in_model and not (each.effect in EFFECTS and EFFECTS[each.effect].removable):

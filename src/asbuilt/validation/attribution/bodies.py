@@ -58,7 +58,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyDifference:
-    """Hold the bodies beyond CAD, and whether the links differ from CAD beside them."""
+    """Hold the bodies beyond CAD, and whether the links differ from CAD in addition."""
 
     bodies: tuple[Body, ...] = ()
     links_differ: bool = False
@@ -75,10 +75,10 @@ def explain_bodies(
     """Explain base parameters of links, as built minus CAD, by single bodies and scatter of CAD.
 
     `d = K z + e + n`: `cov n = C` the errors of the estimate, `cov e = s^2 M` with M the tolerances
-    of CAD, `cov z = a^2 G` with G that of a body of unit amount at one link. The body of the
-    largest likelihood, over all s and a, is tested by its ratio to that without (Wilks, Annals of
-    Math. Statistics 9, 1938), at 5 % over all bodies, and becomes part of C; others are asked
-    again.
+    of CAD, `cov z = a^2 G` with G the covariance of a body of unit amount at one link. The body of
+    the largest likelihood, over all s and a, is tested by the ratio to the likelihood without it
+    (Wilks, Annals of Math. Statistics 9, 1938), at 5 % over all bodies, and becomes part of C;
+    others are tested again.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def explain_bodies(
         Base parameters (p,) as built minus CAD, those left out NaN, and their covariance (p, p).
     right_log
         Whether no error of the log was found: a wrong gain looks like a heavier link, so that no
-        mass of a link is named beside one.
+        mass of a link is named if there is one.
     """
     used = np.flatnonzero((base.columns < 10 * model.n_links) & np.isfinite(difference))
     K = base.regrouping[used]
@@ -127,7 +127,7 @@ def explain_bodies(
 def _open_columns(model: RobotModel, base: BaseParameters) -> Array:
     """Return the columns of what CAD says nothing of: drives, and links without mass.
 
-    A rotor is part of the inertia about its axis. Offsets are small beside weights: they hide no
+    A rotor is part of the inertia about its axis. Offsets are small next to weights: they hide no
     mass that a vertical slide carries.
     """
     unknown = np.repeat([not link.has_mass for link in model.links], 10)
@@ -174,7 +174,7 @@ def _candidates(model: RobotModel) -> Iterator[_Candidate]:
 class _Fit:
     """Hold minus twice the logarithm of the likelihood by scatter and amount (S, A).
 
-    `means` (S, m) and `covariances` (S, m, m) are those of the coefficients of a body that is there
+    `means` (S, m) and `covariances` (S, m, m) describe the coefficients of a body that is there
     for sure, of the largest amount: by a smaller one they are drawn to zero.
     """
 

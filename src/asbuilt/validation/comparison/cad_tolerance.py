@@ -37,7 +37,7 @@ class CadTolerance:
     """State the tolerances of CAD for every link, as standard deviations.
 
     `mass` and `inertia` are fractions of the mass and of the mean moment about the centre of mass;
-    `centre` is that of each coordinate of the centre, as a fraction of the radius of gyration.
+    `centre` holds for each coordinate of the centre, as a fraction of the radius of gyration.
     """
 
     mass: float = 0.05
@@ -142,8 +142,8 @@ def check_tolerance(
 ) -> ToleranceTest:
     """Test differences from CAD (p,) with their covariance (p, p) against tolerances.
 
-    `tested` (p,) selects parameters; `degrees_of_freedom` (p,) are those of the variances, widened
-    for them.
+    `tested` (p,) selects parameters; `degrees_of_freedom` (p,) belong to the variances, which are
+    widened for them.
     """
     chosen = np.flatnonzero(np.asarray(tested))
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)

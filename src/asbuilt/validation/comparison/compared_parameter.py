@@ -39,7 +39,7 @@ class ComparedParameter:
     | `torque` | RMS torque of the difference at every joint, on the validation motion |
     | `torque_total` | the same over all joints |
     | `torque_own` | part of it that no other parameter can make up for |
-    | `matters` | whether that part is large beside the error of some joint |
+    | `matters` | whether that part is large compared with the error of some joint |
     | `shared_with` | parameters that could make up for the rest, if only all of it is large |
     | `words` | description of the parameter |
     """

@@ -42,7 +42,7 @@ HELD_OUT = ", held out "
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
-    """Hold CAD beside as built, as in Tables 2 and 3 of the 2015 paper.
+    """Hold CAD and as built side by side, as in Tables 2 and 3 of the 2015 paper.
 
     | attribute | meaning |
     |---|---|
@@ -235,8 +235,8 @@ def compare(
     cad
         Another description of the same geometry; None: the one identified with.
     validation
-        Torque errors to compare, made with the same `cad`; None: those of the result, or for
-        another `cad` those of its cause data.
+        Torque errors to compare, made with the same `cad`; None: errors of the result, or for
+        another `cad` errors on its cause data.
     level
         False discovery rate up to which a parameter differs.
     tolerance

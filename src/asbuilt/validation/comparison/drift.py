@@ -146,8 +146,8 @@ class Drift:
         note = (
             f"std err: of the {change}; torque: RMS over all joints on the validation motion of the"
             f" {which} result; joint: the one with the most. A {change} matters if it is"
-            " significant and its own part is large beside a joint's error; shared: those named"
-            " could make up for the rest."
+            " significant and its own part is large compared with a joint's error; shared: the"
+            " parameters named could make up for the rest."
         )
         title = {
             None: "Base parameters",
@@ -185,14 +185,14 @@ class Drift:
         full
             Show all sentences, parameters and notes; else what fits one screen of 80 columns.
         """
-        said = self.sentences if full else self.sentences[:MOST_SENTENCES]
+        shown = self.sentences if full else self.sentences[:MOST_SENTENCES]
         lines = [
             wrapped(f"{self.robot}: {self.after} against {self.before}"),
             wrapped(self.verdict()),
-            *(wrapped(line, lines=None if full else 3) for line in said),
+            *(wrapped(line, lines=None if full else 3) for line in shown),
         ]
-        if len(said) < len(self.sentences):
-            lines.append(f"... {len(self.sentences) - len(said)} more sentences")
+        if len(shown) < len(self.sentences):
+            lines.append(f"... {len(self.sentences) - len(shown)} more sentences")
         tables = [self.table()]
         if self.joints:
             tables.insert(0, joint_table(self.joints, self.level, of_models=self.of_models))
@@ -227,7 +227,7 @@ def compare_results(
 ) -> Drift:
     """Compare two results of one robot parameter by parameter.
 
-    Values are those of weighted least squares alone if both results have them, since bounds and
+    Values are from weighted least squares alone if both results have them, since bounds and
     regularisation shift values by what no covariance counts. Covariances are taken as independent.
     Drive terms that only one result has are left out, and the first sentence says so.
 
@@ -322,24 +322,24 @@ def compare_results(
         )
         for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
     )
-    said = labels or tuple(
+    titles = labels or tuple(
         ", ".join(recording_name(source) for source in result.sources) for result in (before, after)
     )
     return Drift(
         robot=after.robot,
-        before=said[0],
-        after=said[1],
+        before=titles[0],
+        after=titles[1],
         joint_names=after.joint_names,
         units=torque_units(after.model),
         parameters=changes,
         chi_square=between.test(tested),
         level=level,
         sentences=(
-            *other_drives_sentence(before, after, said),
+            *other_drives_sentence(before, after, titles),
             *torque_sentence(joints, level, of_models=of_models),
             *terms,
             *dropped_sentence(dropped),
-            *friction_sentences(after, changes, said if of_models else None),
+            *friction_sentences(after, changes, titles if of_models else None),
         ),
         joints=joints,
         of_models=of_models,

@@ -25,7 +25,7 @@ class ParameterChange:
     | `false_discovery`, `holm` | the same for as many tests |
     | `torque_total`, `felt_at` | RMS torque of the change, and the joint with most of it |
     | `changed` | whether it changed significantly |
-    | `matters` | whether its own torque is large beside some joint's error |
+    | `matters` | whether its own torque is large compared with some joint's error |
     | `shared_with` | parameters that could make up for the rest, if only all of it is large |
     | `dropped` | whether a result set it to zero, without an error; it is not tested |
     """

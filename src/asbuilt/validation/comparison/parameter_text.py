@@ -76,7 +76,7 @@ def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
     entries = np.flatnonzero(base.regrouping[row])
     own = {PARAMETER_NAMES[j % per_link] for j in entries if j // per_link == link and j < inertial}
     last = max(int(j) // per_link for j in entries if j < inertial)
-    said = (
+    kind = (
         "mass"
         if name == "m"
         else f"first moment along {name[1]}"
@@ -84,7 +84,7 @@ def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
         else _moment(name, own)
     )
     where = f"link {link + 1}" if last == link else f"links {link + 1} to {last + 1}"
-    return f"{said}, {where}{' with rotors' if entries[-1] >= inertial else ''}"
+    return f"{kind}, {where}{' with rotors' if entries[-1] >= inertial else ''}"
 
 
 def _moment(name: str, own: set[str]) -> str:

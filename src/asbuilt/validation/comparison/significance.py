@@ -65,8 +65,8 @@ def _in_order(probabilities: ArrayLike) -> tuple[Array, Indices]:
 class ChiSquare:
     """Hold a Wald statistic `d^T C^+ d`, its degrees of freedom (rank of C) and p value.
 
-    If C is estimated from time blocks, p is that of `statistic / degrees` under F with
-    `f_degrees`; otherwise these are None and p is that of chi-square.
+    If C is estimated from time blocks, p is the probability of `statistic / degrees` under F with
+    `f_degrees`; otherwise these are None and p follows chi-square.
     """
 
     statistic: float
@@ -93,7 +93,7 @@ def chi_square(
 ) -> ChiSquare:
     """Test whether a vector (p,) with covariance (p, p), singular or not, is zero (Wald, 1943).
 
-    `degrees_of_freedom` are those of each estimated variance.
+    Each estimated variance has `degrees_of_freedom`.
 
     >>> test = chi_square([2.0, 0.0], np.eye(2))
     >>> test.statistic, test.degrees, round(test.probability, 3)
@@ -135,8 +135,8 @@ def joint_test(
     tr(O)`, `O = sum_b g_b g_b^T`, has about `f = tr(O)^2 / tr(O^2)` degrees of freedom (Box, Annals
     of Math. Statistics 25, 1954; Brunner, Dette & Munk, JASA 92, 1997). B may be less than p, where
     Hotelling's statistic is undefined. The denominator has the relative variance `2 / (f nu)`, nu
-    the mean of `degrees_alone` (p,), no more than blocks of such unequal size have, and that of
-    the factor common to all variances.
+    the mean of `degrees_alone` (p,), no more than blocks of such unequal size have, and the
+    relative variance of the factor common to all variances.
 
     >>> rng = np.random.default_rng(1)
     >>> test = joint_test([0.0, 0.0], np.eye(2), rng.normal(size=(20, 2)), [19.0, 19.0])

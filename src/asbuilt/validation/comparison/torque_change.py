@@ -1,4 +1,4 @@
-"""Torque of a change of all parameters at each joint, beside what standard errors explain."""
+"""Torque of a change of all parameters at each joint, and what standard errors explain of it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from asbuilt.validation.prediction import torque_units
 class JointChange:
     """Hold the RMS torque of all changes together at one joint [N m or N], on a validation motion.
 
-    `torque` is that of the change, `by_chance` what the errors of both results explain,
+    `torque` is the change's torque, `by_chance` what the errors of both results explain,
     `torque_of_motion` the torque itself. `p_value` is the probability of as large a change by
     chance, and `holm` the same for as many joints.
     """
@@ -44,7 +44,7 @@ def joint_changes(
 ) -> tuple[JointChange, ...]:
     """Return the torque of differences of named parameters, with their covariance, at every joint.
 
-    `degrees_of_freedom` are those of a variance.
+    Each variance has `degrees_of_freedom`.
 
     Raises ResultError if the result has no cause data.
     """
@@ -90,7 +90,7 @@ def torque_sentence(
     """Return at which joints the torque changed significantly."""
     if not joints:
         return ()
-    said = [
+    changes = [
         f"{each.joint} by {significant(each.torque)} {each.unit} RMS (by chance"
         f" {significant(each.by_chance)})"
         for each in joints
@@ -100,7 +100,7 @@ def torque_sentence(
     return (
         (
             "The torque of the same motion"
-            f" {changed}{': ' + ', '.join(said) if said else ' significantly at no joint'}."
+            f" {changed}{': ' + ', '.join(changes) if changes else ' significantly at no joint'}."
         ),
     )
 
@@ -203,7 +203,7 @@ class TorqueCost:
         return np.divide(self.own, self.total, out=np.zeros_like(self.own), where=self.total > 0)
 
     def noticed(self, left: Array, *, alone: bool = False) -> Mask:
-        """Return whether a difference matters beside the errors `left` (n,) of some joint, (p,).
+        """Return whether a difference matters against the errors `left` (n,) of some joint, (p,).
 
         `alone` counts only its own part.
         """

@@ -88,7 +88,7 @@ class RolloutErrors:
 class RecordingErrors:
     """Hold the errors over the windows of one recording, None where there are none.
 
-    `no_physics` are those of the delayed command, `regular` those as built over windows that are
+    `no_physics` are errors of the delayed command, `regular` errors as built over windows that are
     not outlying.
     """
 
@@ -147,7 +147,7 @@ def without_lost(model: RobotModel, measured: Array, simulated: Array) -> Array:
 def diverges_after(times: Array, simulated: Array) -> float:
     """Return when the first of some windows (W, L, n) diverges [s]; infinite if none does.
 
-    `times` (L,) are those of the samples since the start of a window.
+    `times` (L,) count from the start of a window to each sample.
     """
     lost = ~np.all(np.isfinite(simulated), axis=(0, 2))
     return float(np.min(times[lost], initial=np.inf))

@@ -288,11 +288,11 @@ def _until(rollout: Rollout) -> str:
     both = ((_title("cad"), rollout.cad), (_title("as_built"), rollout.as_built))
     there = [(name, errors) for name, errors in both if errors is not None]
     until = there[0][1].until
-    said = [
+    earlier = [
         f"{errors.text_until} {name}" for name, errors in there if np.isfinite(errors.rms_all_until)
     ]
     began = f"the first after {until:.2g} s"
-    return f"{began}. The error before is {joined(said)}" if said else began
+    return f"{began}. The error before is {joined(earlier)}" if earlier else began
 
 
 def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:

@@ -195,7 +195,7 @@ class VerdictRules:
         Error in multiples of CAD's beyond which a model is not used; errors of one model on two
         motions of one robot differ by less.
     far
-        Ratio of a link's mass to that of CAD, or its inverse, that no tolerance of CAD explains.
+        Ratio of a link's mass to its CAD mass, or its inverse, that no tolerance of CAD explains.
     heavier
         Share of the mass of all links by which a link far from CAD is heavier or lighter, beyond
         which its body imitates something that is not in the model. Light links of a wrist may be
@@ -227,13 +227,13 @@ DIMMING: Mapping[str, str] = MappingProxyType(
         "torque_saturates": "saturated torque{at}",
         "torque_unexplained": "torque that the model does not explain{at}",
         "joint_without_torque": "no torque was logged{at}",
-        "not_excited": "what the motion does not excite is that of CAD",
+        "not_excited": "what the motion does not excite stays at CAD",
         "motion_narrow": "tested in part of the range only",
         "motion_slow": "tested at low speed only",
         "does_not_generalise": "errors{at} are more than twice those in training",
     }
 )
-"""What is said of each finding that speaks against a model, the weightiest first."""
+"""Text of each finding that speaks against a model, the weightiest first."""
 OF_TORQUE = frozenset(
     {
         "torque_scale",

@@ -135,7 +135,7 @@ def _rollout_text(result: IdentificationResult, simulated: Rollout, error: Verdi
 
 
 def _mass_text(result: IdentificationResult) -> str:
-    """Return the mass of the links of the exported robot beside CAD's; empty without an export."""
+    """Return the exported robot's mass of links compared with CAD's; empty without an export."""
     try:
         found = as_built_parameters(result)
     except (IdentifiabilityError, DescriptionError):

@@ -42,9 +42,9 @@ def fleet_identify(
 ) -> Study:
     """Identify a robot from the ledger alone, in milliseconds.
 
-    The parameters equal those of `identify` on the same logs with the same method, signal chain and
-    drive terms to rounding. So do their standard errors if the logs are 80 s or shorter; longer
-    ones have 16 time blocks each in the ledger.
+    `identify` gives the same parameters, to rounding, on the same logs with the same method, signal
+    chain and drive terms. Standard errors agree too if the logs are 80 s or shorter; longer ones
+    have 16 time blocks each in the ledger.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def fleet_identify(
     chosen = options or FleetIdentification()
     prior = sibling_prior(opened, robot_id, entries) if chosen.prior == "siblings" else None
     result = identify_entries(entries, chosen, prior)
-    said = [*result.findings, *opened.findings, *_log_findings(entries)]
-    return Study(result, ranked(said))
+    findings = [*result.findings, *opened.findings, *_log_findings(entries)]
+    return Study(result, ranked(findings))
 
 
 def identify_entries(
@@ -103,9 +103,9 @@ def identify_entries(
     information = joined_entries(entries, MOST_BLOCKS)
     design = design_values(settings.model, settings.base)
     data = EstimationData(settings.model, information, None, design, options.undetermined)
-    estimate, said = None, tuple[Finding, ...]()
+    estimate, findings = None, tuple[Finding, ...]()
     if prior is not None:
-        estimate, said = estimate_with_siblings(entries[0].robot_id, information, prior)
+        estimate, findings = estimate_with_siblings(entries[0].robot_id, information, prior)
     if estimate is None:
         estimate = methods.find(options.method).estimate(data)
     first, last = entries[0], entries[-1]
@@ -125,7 +125,7 @@ def identify_entries(
             *settings.chosen,
         ),
         chain=settings.chain,
-        findings=said,
+        findings=findings,
         digests=tuple(entry.source_sha256[:16] for entry in entries),
     )
 

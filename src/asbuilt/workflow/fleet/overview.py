@@ -78,7 +78,7 @@ def _overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
 def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     """Return a finding for each log that the model of the others does not predict.
 
-    The worst is taken out first, since it spoils the model by which the others are judged.
+    The worst is taken out first, since it spoils the model by which the others are tested.
     """
     rest, found = list(entries), []
     while len(rest) > 1:
@@ -194,7 +194,7 @@ def fleet_overview(ledger: Ledger | str | Path, *, thorough: bool = False) -> Ov
     """
     opened = ledger if isinstance(ledger, Ledger) else open_ledger(str(ledger))
     types = opened.types()
-    rows, said = [], []
+    rows, findings = [], []
     for robot_id in opened.robot_ids():
         names = opened.current_names(robot_id, types=types)
         if not names:
@@ -217,8 +217,8 @@ def fleet_overview(ledger: Ledger | str | Path, *, thorough: bool = False) -> Ov
                 sum(entry.duration for entry in entries),
                 sum(entry.information.n_samples for entry in entries),
             )
-            said += suspicions(opened, robot_id)
+            findings += suspicions(opened, robot_id)
         rows.append(row)
     return Overview(
-        opened.root, tuple(rows), tuple(types.values()), ranked([*said, *opened.findings])
+        opened.root, tuple(rows), tuple(types.values()), ranked([*findings, *opened.findings])
     )

@@ -64,7 +64,7 @@ class SiblingPrior:
     weights
         Factors of the rows of each joint (n,), median of the siblings.
     design_effect
-        Variance of estimates over that of independent samples.
+        Variance of estimates over their variance for independent samples.
     dispersion
         Mean squared distance of the siblings from the mean, in units of T.
     """
@@ -148,10 +148,10 @@ def prior_of(
 def _spread(deviations: Array, noise: Array) -> Array:
     """Return the covariance between robots T (p, p) from estimates about their mean (m, p).
 
-    The covariance S of the estimates less that of their noise is shrunk to its diagonal by
-    `p / (p + m)` (Ledoit & Wolf, J. Multivariate Analysis 88, 2004, with a fixed intensity).
-    m robots tell a variance to `sqrt(2 / (m - 1))` of itself: T is at least that share of S in
-    every direction, since a smaller one cannot be told from none, and would be believed.
+    The covariance S of the estimates, less the covariance of their noise, is shrunk to its diagonal
+    by `p / (p + m)` (Ledoit & Wolf, J. Multivariate Analysis 88, 2004, with a fixed intensity).
+    m robots determine a variance to `sqrt(2 / (m - 1))` of itself: T is at least that share of S in
+    every direction, since a smaller one cannot be distinguished from zero, and would be trusted.
     """
     m, p = deviations.shape
     S = deviations.T @ deviations / (m - 1)
@@ -242,7 +242,7 @@ def _distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[
     """Return the mean squared distance from the mean, and the number of directions.
 
     In prior units, with `L L^T = T` and `L^T A L = U diag(l) U^T`, the data estimate a direction
-    with variance 1 / l; beside the prior it is `N(0, 1 + 1 / l)`. Directions with l > 1 count.
+    with variance 1 / l; about the prior mean it is `N(0, 1 + 1 / l)`. Directions with l > 1 count.
     """
     R = information.stacked(prior.weights) / np.sqrt(prior.design_effect)
     L = np.linalg.cholesky(prior.covariance)
@@ -257,6 +257,6 @@ def _distance(prior: SiblingPrior, information: SquareRootInformation) -> tuple[
 
 
 def _design_effect(information: SquareRootInformation, fit: Estimate) -> float:
-    """Return the variance of estimates by time blocks, over that of independent samples."""
+    """Return the variance of estimates by time blocks, over its value for independent samples."""
     honest = block_uncertainty(information, fit)
     return float(np.clip(information.n_samples / max(honest.effective_samples, 1.0), 1.0, 100.0))

@@ -1,1 +1,1 @@
-"""Masses of links from geometry, materials or a table, beside those of the description."""
+"""Masses of links from geometry, materials or a table, compared with the description."""

@@ -1,4 +1,4 @@
-"""Mass properties of links from geometry and material, or a table, beside those of the file."""
+"""Mass properties of links from geometry and material, or a table, compared with the file's."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def link_masses(
     prefer: GeometryKind = "visual",
     thresholds: Plausibility | None = None,
 ) -> LinkMasses:
-    """Compute the mass properties of links and hold them beside those of the description.
+    """Compute the mass properties of links and compare them with the description's.
 
     Without `density`, `material` and `table`, each link keeps its mass, spread evenly over its
     geometry.
@@ -80,9 +80,9 @@ def link_masses(
     Parameters
     ----------
     model
-        The robot; geometry is that of the URDF file it was read from.
+        The robot; geometry comes from the URDF file it was read from.
     meshes
-        Folder with the meshes; by default they are looked for beside the URDF and above.
+        Folder with the meshes; by default they are searched for in the URDF's folder and above.
     density, material
         Density [kg/m^3] or material of all links, or of each by name.
     table

@@ -21,7 +21,7 @@ class Plausibility:
     lightest: float = 100.0
     """Density [kg/m^3] of a hollow housing with thin walls; foam and balsa are lighter."""
     heaviest: float = 20000.0
-    """Density [kg/m^3] above that of tungsten, 19300."""
+    """Density [kg/m^3] above tungsten's, 19300."""
     equal: float = 1e-6
     """Relative difference below which two values count as copied."""
     change: float = 0.2
@@ -64,7 +64,7 @@ class LinkMass:
 
     @property
     def mass_change(self) -> float:
-        """Relative difference of the computed mass to that of the description, NaN if unknown."""
+        """Relative difference of the computed mass to the described mass, NaN if unknown."""
         if self.computed is None or self.described is None or not self.described.mass:
             return float("nan")
         return self.computed.mass / self.described.mass - 1.0
@@ -178,7 +178,7 @@ def described_findings(link: LinkMass, limits: Plausibility) -> list[Finding]:
 
 
 def copy_findings(links: list[LinkMass], limits: Plausibility) -> list[Finding]:
-    """Return a finding per link whose inertia about the centre of mass is that of another link."""
+    """Return a finding per link whose inertia about the centre of mass equals another link's."""
     known = [(each.name, each.described) for each in links if each.described is not None]
     tensors = [(name, body.mass, body.inertia_about_com) for name, body in known if body.mass > 0.0]
     findings = []
@@ -191,7 +191,7 @@ def copy_findings(links: list[LinkMass], limits: Plausibility) -> list[Finding]:
             and np.abs(tensor - of_other).max() <= limits.equal * np.abs(tensor).max()
         ]
         if same:
-            message = f"mass and inertia equal those of {', '.join(same)}"
+            message = f"same mass and inertia as {', '.join(same)}"
             findings.append(link_finding("copied_inertia", "warning", name, message))
     return findings
 

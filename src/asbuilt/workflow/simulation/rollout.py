@@ -66,7 +66,7 @@ def roll_out_result(
     options
         How to prepare the recordings; None: the defaults.
     workers
-        Who simulates, to the same bits: those of `open_workers`; None: this process.
+        Workers of `open_workers` that simulate, to the same bits; None: this process.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def roll_out_robot(
 ) -> tuple[Rollout, ...]:
     """Simulate recordings with a robot as described, drives included.
 
-    Parameters and errors are those of `roll_out_result`; there is no robot as built.
+    Parameters and errors as for `roll_out_result`; there is no robot as built.
     """
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
@@ -131,7 +131,7 @@ def simulated_rollouts(
     cad: RobotModel | None = None,
     workers: Workers | None = None,
 ) -> tuple[Rollout, ...]:
-    """Return the rollouts of parts of recordings, each by its own result, with CAD beside it."""
+    """Return the rollouts of parts of recordings, each by its own result and by CAD."""
     if not parts:
         return ()
     by_cad, built = [], []

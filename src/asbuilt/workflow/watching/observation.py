@@ -63,7 +63,7 @@ def check_joints(result: IdentificationResult, recorded: Recording | RecordingSt
         missing = [name for name, has in zip(names, head.has_torque, strict=True) if not has]
         raise RecordingError(
             f"{recorded.source} has no usable torque of {', '.join(missing)}; the observer needs"
-            " that of every joint",
+            " the torque of every joint",
             cure=Cure("log it, or name its column in a recording sheet: [columns] torque = [...]"),
             file=recorded.source,
             value=missing,

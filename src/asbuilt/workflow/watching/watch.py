@@ -115,8 +115,10 @@ def watch(
         report("thresholds", 0.0)
         error = doubtful_speed(quiet or [log], bandwidth, measured=measured)
         observer = Observer(robot, bandwidth=bandwidth, velocity_error=error)
-        thresholds, said = _thresholds(result, observer, log, quiet, options, measured=measured)
-        findings += said
+        thresholds, of_thresholds = _thresholds(
+            result, observer, log, quiet, options, measured=measured
+        )
+        findings += of_thresholds
     observer = Observer(robot, thresholds=thresholds)
     return _watched(result, observer, thresholds, log, options, findings, measured, report)
 
@@ -162,7 +164,7 @@ def _thresholds(
                     "thresholds_on_training_data",
                     "warning",
                     f"{each.source} was used to identify the model, so its residuals are smaller"
-                    " than those of other motions and false alarms will be more frequent",
+                    " than in other motions and false alarms will be more frequent",
                     Cure("give a recording of another motion without contact"),
                 )
             )
@@ -222,7 +224,7 @@ def _watched(
         raise RecordingError(f"{log.source}: no two samples are close enough in time to watch")
     found = joined_events(events, thresholds.block_seconds)
     units = tuple("N m" if joint.is_revolute else "N" for joint in observer.model.joints)
-    said = [
+    of_log = [
         *log_findings(thresholds, tally),
         *model_findings(tally, expected_size(result, options.model), units, name, found),
     ]
@@ -236,7 +238,7 @@ def _watched(
         seconds=tally.seconds,
         thresholds=thresholds,
         events=found,
-        findings=ranked([*findings, *said]),
+        findings=ranked([*findings, *of_log]),
         trace=Trace.joined(traces),
         units=units,
         smallest_force=tally.smallest_force,

@@ -1,4 +1,4 @@
-"""Statistics of a watched log, and what follows from them beside its events."""
+"""Statistics of a watched log, and what follows from them in addition to its events."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from asbuilt.workflow.watching.options import Watched
 
 @dataclass(slots=True)
 class Tally:
-    """Gather what is said of a whole log.
+    """Gather what is reported of a whole log.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class WatchRules:
     """Factor from which sampling rates differ: noise, steps of torque and the causal filter do."""
     unlike: float = 3.0
     """Size of the residual over most of a log and all joints, per RMS error that the identification
-    found, from which the model is not that of this robot. Between motions of one robot 1.06 to
+    found, from which the model is not this robot's. Between motions of one robot 1.06 to
     1.56 was seen (LWR4+, Med 7, UR10e), with a log of another robot 19 and 28, with 3 kg on the
     flange of a UR10e 7.8."""
     short: float = 120.0
@@ -224,7 +224,7 @@ def model_findings(
                 "payload_in_log",
                 "warning",
                 f"a change of mass of {plus_minus(*log.mass)} kg at {frame} explains the external"
-                " torque of the whole log; contacts show beside it only",
+                " torque of the whole log; contacts show only in addition to it",
                 Cure("identify the payload, and watch the robot with it", call="identify_payload"),
             )
         ]

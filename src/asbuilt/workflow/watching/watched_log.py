@@ -29,7 +29,7 @@ POINTS = 3000
 
 FORMAT = "asbuilt thresholds"
 LARGEST = 1_000_000
-"""Bytes of a file of thresholds; that of seven joints has 4 kB."""
+"""Bytes of a file of thresholds; a file of seven joints has 4 kB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -226,13 +226,13 @@ SIGMAS = 2.0
 
 
 def review_figure(review: Review) -> Figure:
-    """Draw each number of the drives with its error bar, beside its claim, joint by joint."""
+    """Draw each number of the drives with its error bar, next to its claim, joint by joint."""
     kinds = [kind for kind in SHOWN if any(_shown(claim, kind) for claim in review.claims)]
     joints = list(review.result.joint_names)
     columns = max(1, min(3, len(kinds)))
     rows = max(1, -(-len(kinds) // columns))
     width, height = 2.9 * columns + 0.6, rows * (0.24 * len(joints) + 0.9) + 0.5
-    title = f"{review.robot}: numbers of its drives beside the log"
+    title = f"{review.robot}: numbers of its drives against the log"
     with drawn(width, height, title, rows=rows, columns=columns, sharey=True) as (figure, axes):
         for axis in axes[len(kinds) :]:
             axis.set_visible(False)

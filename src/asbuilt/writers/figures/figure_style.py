@@ -1,6 +1,6 @@
 """Style of figures: colours, empty figures with a headline, files and addresses.
 
-Colours are those of Okabe and Ito (2008), distinct for the colour-blind and in grey.
+Colours by Okabe and Ito (2008), distinct for the colour-blind and in grey.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def drawn(
 
 
 def label_once(figure: Figure, axes: Iterable[Any], **how: Any) -> None:
-    """Put a legend beside the axes that has each of their labels once; `how` as for a legend."""
+    """Put a legend next to the axes that has each of their labels once; `how` as for a legend."""
     handles: dict[str, Any] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):

@@ -36,8 +36,8 @@ def recording_figure(recording: Recording, check: RecordingCheck) -> Figure:
     with drawn(8.6, 0.9 * n + 0.8, rows=n, columns=2, sharex=True) as (figure, axes):
         for k, name in enumerate(recording.joint_names):
             own = axes[2 * k : 2 * k + 2]
-            said = [each for each in check.findings if each.joint == name]
-            colour = MARKS[said[0].severity] if said else INK
+            findings = [each for each in check.findings if each.joint == name]
+            colour = MARKS[findings[0].severity] if findings else INK
             for axis, values in zip(own, (recording.q, recording.tau), strict=True):
                 shown = np.isfinite(values[:, k])
                 if np.any(shown):
@@ -70,8 +70,8 @@ def watch_figure(watched: WatchedLog, *, narrow: bool = False) -> Figure:
     # 600: bins of a narrow figure.
     trace, n = watched.trace.thinned(600) if narrow else watched.trace, len(watched.joint_names)
     start, last = float(trace.t.min()), float(trace.t.max())
-    said = f"external torque [{torque_unit(watched.units)}] and its thresholds"
-    title = said if narrow else f"{watched.robot}: {said}"
+    subject = f"external torque [{torque_unit(watched.units)}] and its thresholds"
+    title = subject if narrow else f"{watched.robot}: {subject}"
     mixed = len(set(watched.units)) > 1
     width = 3.9 if narrow else 8.6
     with drawn(width, 0.95 * n + 0.9, title, rows=n, sharex=True) as (figure, axes):
@@ -101,7 +101,7 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
     model, t = motion.model, motion.t
     turning = [joint.is_revolute for joint in model.joints]
     unit = "rad" if all(turning) else "m" if not any(turning) else "rad, m"
-    beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    legend_place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, model.n_joints))
     balance = motion.total[0] + motion.work - motion.dissipated
     curves = [
@@ -124,13 +124,13 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
         ):
             above.plot(*thinned(t, q, points=POINTS), color=colour, label=shortened(name, 20))
         above.set_ylabel(f"moved [{unit}]")
-        above.legend(handlelength=1.2, **beside)
+        above.legend(handlelength=1.2, **legend_place)
         for values, colour, style, width, label in curves:
             look = {"color": colour, "linestyle": style, "linewidth": width}
             below.plot(*thinned(t, values, points=POINTS), label=label, **look)
         below.set(xlabel="time [s]", ylabel="energy [J]")
         below.margins(x=0.01)
-        legend = below.legend(handlelength=1.6, **beside)
+        legend = below.legend(handlelength=1.6, **legend_place)
         legend.set_title(f"energy balance to {motion.imbalance:.0e}", prop={"size": 8})
         legend.set_alignment("left")
     return figure

@@ -67,7 +67,7 @@ def torque_figure(
     names = list(joint_names) or [f"joint {k + 1}" for k in range(n)]
     kinds = list(units) or ["N m"] * n
     shape = {"rows": n, "columns": 2, "sharex": True, "width_ratios": (3, 2)}
-    beside = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+    legend_place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
     narrow = {"handlelength": 1.2, "columnspacing": 1.2, "borderaxespad": 0.1, "fontsize": 7.5}
     with drawn(10.5, 1.25 * n + 0.95, title, **shape) as (figure, axes):
         lefts, rights = axes[::2], axes[1::2]
@@ -85,7 +85,7 @@ def torque_figure(
         for column, name in ((lefts, "Torque"), (rights, "Error (measured - predicted)")):
             column[0].set_title(name)
             column[-1].set_xlabel("time [s]")
-        lefts[0].legend(ncols=2, **beside)
+        lefts[0].legend(ncols=2, **legend_place)
         figure.align_ylabels(lefts)
     return figure
 
@@ -116,7 +116,7 @@ def draw_errors(
     *,
     cad: Array | None = None,
 ) -> None:
-    """Draw measured less predicted torque (N,), and that of CAD behind it."""
+    """Draw measured less predicted torque (N,), with CAD's error behind it."""
     errors = {
         f"{name}, RMS {_rms(measured - curve)}": measured - curve
         for name, curve in (("CAD", cad), (label, predicted))

@@ -99,7 +99,7 @@ def keeping_described_drives(
 ) -> tuple[RobotModel, tuple[str, ...]]:
     """Return a robot with the described values of plain drive terms not identified, and notes.
 
-    If a richer term was identified in place of a plain one (`power` in that of `viscous`), the
+    If a richer term was identified in place of a plain one (`power` for `viscous`), the
     plain one is zero, since it would count the same friction twice.
     """
     joints, as_described, replaced = [], set(), dict[tuple[str, str], list[str]]()

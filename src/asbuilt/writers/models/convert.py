@@ -82,7 +82,7 @@ def convert_robot(
     Raises
     ------
     UsageError
-        If the suffix is that of no format.
+        If the suffix belongs to no format.
     InertiaError
         If a URDF or an MJCF file is asked for and the inertia of a link is physically inconsistent.
     """
@@ -94,8 +94,8 @@ def convert_robot(
         )
     held_still = [f"{name} at {value!r}" for name, value in model.locked_joints.items()]
     if held_still:
-        said = f"locked when converted: {', '.join(held_still)}"
-        model = replace(model, notes=(*model.notes, said))
+        note = f"locked when converted: {', '.join(held_still)}"
+        model = replace(model, notes=(*model.notes, note))
     try:
         written, notes = _write_as_named(path, model)
     except InertiaError as problem:

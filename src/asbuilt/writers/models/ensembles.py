@@ -226,8 +226,8 @@ def _format_notes(ensemble: Ensemble, models: ModelFormat) -> tuple[str, ...]:
     """Return what files of this format cannot hold."""
     first = ensemble_model(ensemble, 0)
     _, kept = keeping_described_drives(first, ensemble.result.model)
-    said = mjcf_notes(first) if models == "mjcf" else urdf_notes(first)
-    own = f"numbers are those of draw 0: {'; '.join(said)}" if said else ""
+    notes = mjcf_notes(first) if models == "mjcf" else urdf_notes(first)
+    own = f"numbers are from draw 0: {'; '.join(notes)}" if notes else ""
     held = held_notes(ensemble.result.model) if models == "mjcf" else ()
     return tuple(
         each for each in (own, *kept, *delay_notes(ensemble.result, models), *held) if each

@@ -201,33 +201,33 @@ def export_result(
         notes["c"] = load
     if urdf is not None:
         edited, missing = urdf_to_edit(result.model, original)
-        files["urdf"], said = write_urdf(urdf, in_simulators, original=edited)
-        notes["urdf"] = (*missing, *said, *kept, *delay_notes(result, "urdf"))
+        files["urdf"], remarks = write_urdf(urdf, in_simulators, original=edited)
+        notes["urdf"] = (*missing, *remarks, *kept, *delay_notes(result, "urdf"))
     if mjcf is not None:
-        files["mjcf"], said = write_mjcf(mjcf, in_simulators)
+        files["mjcf"], remarks = write_mjcf(mjcf, in_simulators)
         if elastic:
             text = elastic_mjcf(files["mjcf"].read_text(encoding="utf-8"), result.encoders)
             atomic_write(mjcf, text)
-        notes["mjcf"] = (*said, *kept, *delay_notes(result, "mjcf"), *held_notes(result.model))
+        notes["mjcf"] = (*remarks, *kept, *delay_notes(result, "mjcf"), *held_notes(result.model))
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = load
     for written, place in formats.items():
-        text, said = written.document(ExportedDrives(in_simulators, result), Path(place))
+        text, remarks = written.document(ExportedDrives(in_simulators, result), Path(place))
         files[written.key] = atomic_write(place, text)
-        notes[written.key] = (*said, *kept)
+        notes[written.key] = (*remarks, *kept)
     return Export(
         result.robot,
         found.verdict,
         files,
-        {kind: said for kind, said in notes.items() if said},
+        {kind: remarks for kind, remarks in notes.items() if remarks},
         cost,
         _beyond(result, found) if found.substituted else "",
     )
 
 
 def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
-    """Return the torque difference of the two models in random motion, beside its error."""
+    """Return the torque difference of the two models in random motion, with its error."""
     W = random_motion_rows(result.model, result.base)
     error = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
     apart, of = (
@@ -244,7 +244,7 @@ def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
 def urdf_to_edit(
     model: RobotModel, given: Place | None = None
 ) -> tuple[Path | None, tuple[str, ...]]:
-    """Return the URDF to edit, given or that of the robot, and a note if that is missing."""
+    """Return the URDF to edit, given or the robot's, and a note if that is missing."""
     place = Path(given if given is not None else model.source)
     if given is not None or place.is_file():
         content, source = described_text(place)
@@ -258,11 +258,11 @@ def urdf_to_edit(
             )
         return None, ()
     if place.suffix.lower() == ".urdf":
-        said = (
+        note = (
             f"{place}, with which the robot was identified, does not exist: a URDF without shapes"
             " was written; name the original to keep its shapes"
         )
-        return None, (said,)
+        return None, (note,)
     return None, ()
 
 
@@ -284,7 +284,7 @@ def held_notes(model: RobotModel) -> tuple[str, ...]:
 
 
 def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
-    """Return a note if load-dependent friction differs from that of the result."""
+    """Return a note if load-dependent friction differs from the result's."""
     apart = load_counted(result, built)
     if not apart:
         return ()

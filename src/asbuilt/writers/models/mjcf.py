@@ -35,7 +35,7 @@ CARRIED = frozenset(
         *("motor_armature", "motor_viscous", "motor_coulomb"),
     )
 )
-"""Drive terms that MJCF holds, beside plain ones and friction written as plain friction."""
+"""Drive terms that MJCF holds, in addition to plain ones and friction written as plain."""
 
 
 def exported_mjcf(model: RobotModel) -> str:
@@ -222,7 +222,7 @@ def elastic_mjcf(text: str, pairs: Sequence[EncoderPair]) -> str:
     """Return MJCF in which each of the joints moves its motor, and a further one its link.
 
     The further joint, `NAME link`, is about the same axis and is the twist of the drive: its spring
-    has stiffness and damping, its position is that of the link less that of the motor.
+    has stiffness and damping, its position is the link's less the motor's.
 
     Raises
     ------

@@ -90,13 +90,13 @@ def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> t
                 joints.setdefault(key, []).append(joint.name)
     if not joints:
         return ()
-    said = ", ".join(
+    listed = ", ".join(
         key if len(names) == model.n_joints else f"{key} ({', '.join(names)})"
         for key, names in joints.items()
     )
     best = "; a fit with the drive terms armature, viscous, coulomb and offset serves it best"
     return (
-        f"{kind} has no place for the drive terms {said}; its torques lack them (robot files"
+        f"{kind} has no place for the drive terms {listed}; its torques lack them (robot files"
         f" of asbuilt hold all{best if 'stribeck' in joints else ''})",
     )
 
@@ -136,7 +136,7 @@ def _reasons(result: IdentificationResult, model: RobotModel) -> str:
     proof = find_inconsistency(result.base, prior, result.estimates, covariance)
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
         return proof.sentence
-    zero = f"; the {len(dropped)} dropped parameters count as zero, which those of links seldom are"
+    zero = f"; the {len(dropped)} dropped parameters count as zero, which is rare for links"
     return "; ".join(impossibilities(model)) + (zero if dropped.size else "")
 
 
@@ -159,8 +159,8 @@ def refuse_poor_nearest_model(
     grown = _error_growth(result, beta)
     if grown > POOR.error:
         raise InertiaError(
-            f"{head}: its error on the training data is {significant(grown)} times that of the"
-            " identified one",
+            f"{head}: its error on the training data is {significant(grown)} times the"
+            " identified model's",
             cure=FORCED,
         )
 
@@ -185,7 +185,7 @@ def servo_left_out(
     if servo is None:
         return ()
     late = 1e3 * (servo.delay or 0.0)
-    said = {
+    losses = {
         f"a delay below zero, {late:.3g} ms: give the simulator each command {-late:.3g} ms"
         " earlier": late < 0.0,
         f"the delay of the servo: give the simulator each command {late:.3g} ms later, and half of"
@@ -199,4 +199,4 @@ def servo_left_out(
         f"torque limits that fall to zero at {min(servo.no_load_speed):.4g} rad/s or m/s: it has"
         " the limits of a joint at rest": not falling and np.any(servo.falling),
     }
-    return tuple(f"{kind} has no place for {what}" for what, lost in said.items() if lost)
+    return tuple(f"{kind} has no place for {what}" for what, lost in losses.items() if lost)

@@ -88,7 +88,7 @@ def _order(model: RobotModel) -> Sequence[int]:
 
 
 def _link_blocks(model: RobotModel, joint: Joint, link: Link) -> list[str]:
-    """Return the block of a link, and those of its parts where it has any."""
+    """Return the block of a link, and the blocks of its parts where it has any."""
     parts = [inertia.parameters for _, inertia in link.parts]
     by_parts = bool(parts) and np.array_equal(np.sum(parts, axis=0), link.inertia.parameters)
     after = _placement(joint.after, joint.after_symbols, model)

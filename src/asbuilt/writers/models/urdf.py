@@ -145,7 +145,7 @@ def write_urdf(
 
 
 def _shift(joint: Joint) -> Array:
-    """Return the pose of the model's link frame in that of the URDF."""
+    """Return the pose of the model's link frame in the URDF's link frame."""
     # 1e-12: largest distance [m] of a link origin on the joint axis.
     if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= 1e-12:
         return np.eye(4)

@@ -53,7 +53,7 @@ class EditedUrdf:
 def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     """Put inertias, viscous and Coulomb friction of `model` into a URDF of the same robot.
 
-    All other bytes are kept. The identified inertia of a moving link is that of everything fixed to
+    All other bytes are kept. The identified inertia of a moving link includes everything fixed to
     it: links behind fixed joints keep their inertials and the moving link gets the remainder if
     that is physically consistent; else it gets the whole and theirs are removed, with a note.
     Inertials are written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values that
@@ -174,10 +174,10 @@ def urdf_notes(model: RobotModel) -> tuple[str, ...]:
             if getattr(joint.drive, key)
         }
         if values:
-            said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
+            listed = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
             notes.append(
                 f"URDF has no place for the {key} of the drives; add it in the simulator ({symbol}"
-                f" [{unit}]: {said})"
+                f" [{unit}]: {listed})"
             )
     notes += left_out_drives(plain, (), "URDF")
     if not np.array_equal(model.gravity, USUAL_GRAVITY):
@@ -230,10 +230,10 @@ def _inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edi
     inertial = link.first("inertial")
     if inertial is None:
         tag = link.named_as
-        said = " ".join(f'{name}="{value}"' for name, value in moments.items())
+        attributes = " ".join(f'{name}="{value}"' for name, value in moments.items())
         parts = (
             f'<{tag("origin")} xyz="{com}" rpy="0 0 0"/><{tag("mass")}'
-            f' value="{_number(inertia.mass)}"/><{tag("inertia")} {said}/>'
+            f' value="{_number(inertia.mass)}"/><{tag("inertia")} {attributes}/>'
         )
         return [file.prepended(link, f"<{tag('inertial')}>{parts}</{tag('inertial')}>")]
     origin, mass, moment = (inertial.first(tag) for tag in ("origin", "mass", "inertia"))
@@ -261,12 +261,12 @@ def _dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[
     dynamics = joint.first("dynamics")
     if dynamics is not None:
         return attribute_edits(dynamics, values)
-    said = " ".join(f'{name}="{value}"' for name, value in values.items())
-    return [file.appended(joint, f"<{joint.named_as('dynamics')} {said}/>")]
+    attributes = " ".join(f'{name}="{value}"' for name, value in values.items())
+    return [file.appended(joint, f"<{joint.named_as('dynamics')} {attributes}/>")]
 
 
 def _without_friction(joint: Span, values: dict[str, str]) -> list[Edit]:
-    """Return edits that set the friction of a follower to 0: that of its driven joint holds it."""
+    """Return edits that set a follower's friction to 0, since its driven joint holds it."""
     dynamics = joint.first("dynamics")
     if dynamics is None:
         return []

@@ -1,4 +1,4 @@
-"""Animation of a rollout: measured robot beside its simulations by CAD and as built."""
+"""Animation of a rollout: measured robot next to its simulations by CAD and as built."""
 
 from __future__ import annotations
 

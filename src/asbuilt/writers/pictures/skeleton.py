@@ -20,7 +20,7 @@ def round_mesh(
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return vertices (v, 3) and outward triangles (f, 3) of a rod or a housing.
 
-    `rings` are those of a rod's round end, `segments` the parts of its length.
+    `rings` are the rings of a rod's round end, `segments` the parts of its length.
     """
     length, radius = solid.length, solid.radius
     if solid.kind == "rod":

@@ -121,7 +121,7 @@ def write_picture(
 def write_frames(path: str | os.PathLike[str], images: Sequence[Image], seconds: float) -> Path:
     """Write images (height, width, 3) as a file that shows them in so many seconds, over and over.
 
-    Raises `UsageError` for several images if the suffix is that of no animation.
+    Raises `UsageError` for several images if no animation has the suffix.
     """
     suffix = Path(path).suffix.lower()
     if len(images) > 1 and suffix not in ANIMATIONS:

@@ -51,7 +51,7 @@ class Viewing:
 
 VIEWING = Viewing()
 DISTANCE, BESIDE_PANEL = 2.7, 0.3
-"""Distance of the camera and its sideways offset beside the panel, in radii of the scene."""
+"""Distance of the camera and its sideways offset from the panel, in radii of the scene."""
 
 
 class Viewer:
@@ -246,7 +246,7 @@ class _Controls:
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
-        # Time in the motion, and that of the pose that is shown [s].
+        # Time in the motion, and time of the pose that is shown [s].
         self.now, self.shown = 0.0, -1.0
         gui, model, motion = viewer.server.gui, viewer.model, viewer.motion
         gui.configure_theme(show_logo=False, show_share_button=False)

@@ -63,7 +63,7 @@ def make_program(
     name
         Name of the motion and its files.
     rate
-        Rate of the points or of the recording [Hz]; by default that of the format.
+        Rate of the points or of the recording [Hz]; by default the format's.
     collision
         Bodies whose smallest distance the program states, as in `DesignOptions`.
 

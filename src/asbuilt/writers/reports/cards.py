@@ -23,7 +23,7 @@ def study_cards(study: Study) -> tuple[Card, ...]:
 
 
 def error_card(found: Verdict, unit: str) -> Card:
-    """Return the error that decides, of the exported robot, beside CAD's; `unit` of positions."""
+    """Return the deciding error of the exported robot, compared with CAD's; `unit` of positions."""
 
     def text(value: float | None) -> str:
         if found.measure == "torque" or value is None:
@@ -38,7 +38,7 @@ def error_card(found: Verdict, unit: str) -> Card:
 
 
 def torque_card(comparison: Comparison) -> Card:
-    """Return how well torque is predicted as built, beside CAD if that is known."""
+    """Return how well torque is predicted as built, compared with CAD if that is known."""
     cad, built = comparison.torque[0]
     error, label = share(built.relative_error), "torque error as built"
     if cad is None:

@@ -67,13 +67,13 @@ class CadVerdict:
         elif full:
             parts.append(found.as_text(full))
         else:
-            said = [wrapped(line, lines=2) for line in found.findings[:3]]
+            sentences = [wrapped(line, lines=2) for line in found.findings[:3]]
             table = found.joint_table(comparison.torque[0][1].rms)
-            parts.append("\n".join([*said, "", table.as_text()]))
+            parts.append("\n".join([*sentences, "", table.as_text()]))
         parts.append(comparison.parameter_table().as_text(full))
         if full:
-            said = [wrapped(line, "  ") for line in self.determination.sentences]
-            parts.append("\n".join(["What the recording determines:", *said]) + "\n")
+            sentences = [wrapped(line, "  ") for line in self.determination.sentences]
+            parts.append("\n".join(["What the recording determines:", *sentences]) + "\n")
         return "\n".join(parts)
 
     @property
@@ -111,7 +111,7 @@ class CadVerdict:
             difference_card(comparison),
             determination_card(self.determination),
         ]
-        said = (
+        sentences = (
             self.headline,
             comparison.verdict(),
             *((NO_CAUSES,) if found is None else found.findings),
@@ -150,7 +150,11 @@ class CadVerdict:
                 Block(
                     "verdict",
                     "Verdict",
-                    (cards_markup(cards), list_markup(said), table_markup(joints, "joint-table")),
+                    (
+                        cards_markup(cards),
+                        list_markup(sentences),
+                        table_markup(joints, "joint-table"),
+                    ),
                 ),
                 Block("causes", "Causes of the CAD error", causes, "Causes"),
                 Block(
@@ -217,7 +221,7 @@ def drift_html(compared: Drift | ControllerComparison) -> str:
     drawn: list[Markup] = []
     if drift.joints:
         words = (
-            "Torque of the changes at every joint beside what standard errors explain; the numbers"
+            "Torque of the changes at every joint next to what standard errors explain; the numbers"
             " are in the table below"
         )
         joints = joint_table(drift.joints, drift.level, of_models=drift.of_models)

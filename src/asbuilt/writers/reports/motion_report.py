@@ -47,7 +47,7 @@ JOINTS = """\
  acceleration and torque of {{ name }} over time, with limits"></figure>
 {% endfor %}
 </div>
-<p class="quiet">Dashed: limits. The torque is that of the description, drive values included.</p>
+<p class="quiet">Dashed: limits. The torque follows the description, drive values included.</p>
 """
 CURVE, LIMIT, PATH_SIZE = "#0072b2", "#b3261e", (900, 675)
 
@@ -60,7 +60,7 @@ def write_motion_report(path: str | os.PathLike[str], design: Design | StaticDes
 def motion_html(design: Design | StaticDesign) -> str:
     """Return the page of a designed motion; it needs no network, and every name is escaped."""
     limits = design.limits
-    said = [
+    remarks = [
         ("" if limits.is_respected else "bad", margin_verdict(limits)),
         *(
             ("" if each.severity == "info" else "bad", each.message)
@@ -77,7 +77,7 @@ def motion_html(design: Design | StaticDesign) -> str:
                 "verdict",
                 "Verdict",
                 (
-                    list_markup(said),
+                    list_markup(remarks),
                     facts_markup(design_facts(design)),
                     table_markup(margin_table(limits), "margins"),
                 ),

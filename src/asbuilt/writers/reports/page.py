@@ -48,7 +48,7 @@ class Block:
 def page(heading: str, subject: str, blocks: Iterable[Block], **fields: Any) -> str:
     """Return a page; blocks without parts are left out.
 
-    `fields` are those of the template: `title`, `subtitle`, and for plots `script` and `data`.
+    `fields` belong to the template: `title`, `subtitle`, and for plots `script` and `data`.
     """
     own = {
         "heading": heading,
@@ -113,7 +113,7 @@ def table_markup(table: Table, identifier: str, kind: str = "scroll") -> Markup:
 
 
 def resource(name: str) -> Markup:
-    """Return the text of a file beside the templates, unescaped."""
+    """Return the text of a file in the folder of templates, unescaped."""
     return Markup((Path(__file__).parent / "templates" / name).read_text(encoding="utf-8"))
 
 

@@ -39,7 +39,7 @@ def write_report(
     path
         File to write.
     study
-        The study; it is shown as it is, and nothing is computed anew.
+        The study; it is shown as it is, and nothing is computed again.
     payload
         The payload identified with it.
     command

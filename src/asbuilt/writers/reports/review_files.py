@@ -70,12 +70,12 @@ def review_text(
 ) -> str:
     """Return verdict, warnings and table for a terminal; `full`: all claims and warnings."""
     head = wrapped(review_headline(review))
-    said = [
+    findings = [
         wrapped(finding_text(each))
         for each in review.findings
         if finding_text is not None and (full or each.code.startswith("servo_"))
     ]
-    return "\n".join([head, *letter_lines(review), *said, review_table(review).as_text(full)])
+    return "\n".join([head, *letter_lines(review), *findings, review_table(review).as_text(full)])
 
 
 def letter_lines(review: Review) -> list[str]:
@@ -136,7 +136,7 @@ def review_table(review: Review) -> Table:
     return Table.of(
         review.claims,
         CLAIMS,
-        title="Claimed numbers beside what the log says with nothing that pulls it to the claim",
+        title="Claimed numbers, and estimates from the log not regularised toward them",
         notes=(
             f"CONTRADICTED: off by more than {share(RESOLUTION, 0)} of its size, at a false"
             f" discovery rate of {share(review.level, 0)} over all numbers.",
@@ -215,7 +215,7 @@ def review_html(review: Review) -> str:
     drawn = image_markup(
         figure_address(review_figure(review)),
         "Armature, damping, friction loss and stiffness of each joint as the log has them, with"
-        " bars of two standard errors, beside what the description claims; the numbers are in the"
+        " bars of two standard errors, next to what the description claims; the numbers are in the"
         " table below",
     )
     found = list_markup((each.severity, each.text) for each in review.findings)

@@ -1,4 +1,4 @@
-"""Page of rollouts: errors, and measured beside simulated motion joint by joint."""
+"""Page of rollouts: errors, and measured and simulated motion joint by joint."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def rollout_html(
     joints = [
         table_markup(joint_table(model, each), f"joints-{k}") for k, each in enumerate(rollouts)
     ]
-    said = list_markup(each.text for each in rollout_findings(rollouts))
+    findings = list_markup(each.text for each in rollout_findings(rollouts))
     motion = section_markup(ROLLOUT, rollout_fields(model, rollouts))
     return page(
         model.name,
         ", ".join(logs),
         [
-            Block("verdict", "Verdict", (cards_markup(_cards(longest)), said)),
+            Block("verdict", "Verdict", (cards_markup(_cards(longest)), findings)),
             Block("animation", "Animation", moving),
             Block("motion", "Measured and simulated motion", (motion,), "Motion"),
             Block("by-joint", "Joint by joint", joints, "Joints"),
@@ -72,7 +72,7 @@ def _cards(rollout: Rollout) -> list[Card]:
     horizon = f"over {rollout.horizon:g} s"
     cad, built = rollout.cad, rollout.as_built
     better = cad is not None and built is not None and built.rms_all_until < cad.rms_all_until
-    said: tuple[tuple[Mood, RolloutErrors | None, str], ...] = (
+    rows: tuple[tuple[Mood, RolloutErrors | None, str], ...] = (
         ("neutral", cad, f"error of the simulation by CAD {horizon}"),
         ("good" if better else "bad", built, f"error of the simulation as built {horizon}"),
         (
@@ -82,7 +82,7 @@ def _cards(rollout: Rollout) -> list[Card]:
         ),
         ("neutral", rollout.floor, "between repetitions of a command"),
     )
-    cards = [Card(mood, errors.text, label) for mood, errors, label in said if errors is not None]
+    cards = [Card(mood, errors.text, label) for mood, errors, label in rows if errors is not None]
     if better and cad is not None and built is not None:
         less = 1.0 - built.rms_all_until / cad.rms_all_until
         until = f" over {built.until:.2g} s" if cad.diverged or built.diverged else ""

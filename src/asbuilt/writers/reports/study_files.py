@@ -84,9 +84,9 @@ def study_document(
     notes: Mapping[str, Sequence[str]] | None = None,
     payload: Payload | None = None,
 ) -> dict[str, Any]:
-    """Return what `asbuilt identify --json` prints; `notes` are those of `write_study`."""
+    """Return what `asbuilt identify --json` prints; `notes` come from `write_study`."""
     document = identify_document(study, files=files) | {
-        "file_notes": {kind: list(said) for kind, said in (notes or {}).items()}
+        "file_notes": {kind: list(texts) for kind, texts in (notes or {}).items()}
     }
     if study.cutoffs is not None:
         document["cutoff_sweep"] = study.cutoffs.as_document()
@@ -184,13 +184,13 @@ def _write_robot(
                 f"not written: {impossible[0]}; the nearest consistent model can be exported",
             )
         elif original is not None:
-            files["urdf"], said = write_urdf(
+            files["urdf"], remarks = write_urdf(
                 folder / "robot.urdf", in_simulators, original=original
             )
-            notes["urdf"] = (*said, *kept)
+            notes["urdf"] = (*remarks, *kept)
     except (IdentifiabilityError, DescriptionError) as problem:
         notes[kind] = (f"not written: {problem}",)
-    return files, {kind: said for kind, said in notes.items() if said}
+    return files, {kind: remarks for kind, remarks in notes.items() if remarks}
 
 
 def write_validations(

@@ -58,13 +58,13 @@ def watch_html(watched: WatchedLog) -> str:
         " the table below",
         narrow=figure_address(watch_figure(watched, narrow=True)),
     )
-    said = [*watched.sentences(), *(each.text for each in watched.findings)]
+    sentences = [*watched.sentences(), *(each.text for each in watched.findings)]
     table = [table_markup(watched.table(), "events-table")] if events else []
     return page(
         watched.robot,
         watched.source,
         [
-            Block("verdict", "Verdict", (cards_markup(cards), list_markup(said))),
+            Block("verdict", "Verdict", (cards_markup(cards), list_markup(sentences))),
             Block("torque", "External torque, joint by joint", (drawn,), "External torque"),
             Block("events", "Events", table),
         ],

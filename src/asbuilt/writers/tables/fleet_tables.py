@@ -132,7 +132,7 @@ def drift_text(
     changed = drift.changed if full else drift.changed[:MOST_CHANGED]
     if changed:
         lines += ["", Table.of(changed, CHANGED).as_text(full).rstrip(), ""]
-        lines += [wrapped(f"{each.id}: {said.text}") for each in changed for said in each.what]
+        lines += [wrapped(f"{each.id}: {effect.text}") for each in changed for effect in each.what]
     lines += _left(drift.changed, full, "robots", MOST_CHANGED)
     for kind in drift.types:
         if kind.torque:

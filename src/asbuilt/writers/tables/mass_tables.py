@@ -1,4 +1,4 @@
-"""Masses of links: by CAD and as built, and of a description beside computed ones."""
+"""Masses of links: by CAD and as built, and described compared with computed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ExportedMasses:
 
     @property
     def total_cad(self) -> float | None:
-        """Total mass by CAD [kg]; None if that of a link is unknown."""
+        """Total mass by CAD [kg]; None if a link's mass is unknown."""
         known = [mass for _, mass, _ in self.links if mass is not None]
         return sum(known) if len(known) == len(self.links) else None
 
@@ -124,7 +124,7 @@ def _body_document(body: LinkInertia | None) -> dict[str, Any] | None:
 
 
 def masses_table(masses: LinkMasses) -> Table:
-    """List mass, centre of mass and moments, description beside computed, worst link first."""
+    """List mass, centre of mass and moments, described and computed, worst link first."""
     columns = (
         Column("link", of="name"),
         Column("mass", "kg", "decimal", ".4g", of=lambda each: _mass(each.described)),
@@ -146,7 +146,7 @@ def masses_table(masses: LinkMasses) -> Table:
     return Table.of(
         masses.links,
         columns,
-        f"{masses.model.name}: mass properties of the description beside those computed",
+        f"{masses.model.name}: mass properties described and computed",
         details=(
             "Moments are about the centre of mass; the density is mass over volume of geometry.",
         ),

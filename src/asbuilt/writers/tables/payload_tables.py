@@ -120,7 +120,7 @@ def _gain_notes(payload: Payload) -> tuple[str, ...]:
 
 
 def _doubts(payload: Payload) -> tuple[str, ...]:
-    """Return which gains are doubted, since gravity torques are far from those of CAD."""
+    """Return which gains are doubted, since gravity torques are far from CAD's."""
     if not payload.gains_in_doubt:
         return ()
     if len(payload.gains_in_doubt) == len(payload.gain_uncertainty):
@@ -130,7 +130,7 @@ def _doubts(payload: Payload) -> tuple[str, ...]:
         )
     return (
         f"GAINS IN DOUBT: the gravity torques of {joined(payload.gains_in_doubt)} are far from"
-        " those of CAD, which may be the torque scale; the payload's errors allow for it.",
+        " CAD's, which may be the torque scale; the payload's errors allow for it.",
     )
 
 

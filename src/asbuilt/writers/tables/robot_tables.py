@@ -256,7 +256,7 @@ STANDARD = (
 
 
 def _rounded(values: Iterable[float], size: float) -> list[float]:
-    """Return values with zero in place of those that are rounding beside others of this size."""
+    """Return values, zero where they are rounding errors of others of this size."""
     return [value if abs(value) > ROUNDING * size else 0.0 for value in values]
 
 

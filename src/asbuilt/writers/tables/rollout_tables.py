@@ -42,24 +42,24 @@ def rollout_text(
     if full:
         parts += [joint_table(model, each) for each in rollouts]
         parts += [motion_table(model, each) for each in rollouts if len(each.by_recording) > 1]
-    said = (
+    notes = (
         []
         if cure_text is None
         else [wrapped(each.advised(cure_text)) for each in rollout_findings(rollouts)]
     )
-    return "\n" + "\n".join([*(part.as_text(full) for part in parts), *said])
+    return "\n" + "\n".join([*(part.as_text(full) for part in parts), *notes])
 
 
 def refined_text(refined: Refined) -> str:
     """Return a sentence that says what a refinement by trajectories changed."""
-    said = (
+    text = (
         f"Refined by trajectories of {refined.horizon:g} s in {refined.iterations} steps"
         f" ({refined.seconds:.3g} s)"
     )
     if refined.before is not None and refined.after is not None:
-        said += f": rollout error {refined.before.text} before, {refined.after.text} after"
-    said += "" if refined.kept else ", which is not followed"
-    return wrapped(said + ".") + "\n"
+        text += f": rollout error {refined.before.text} before, {refined.after.text} after"
+    text += "" if refined.kept else ", which is not followed"
+    return wrapped(text + ".") + "\n"
 
 
 def rollout_table(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:

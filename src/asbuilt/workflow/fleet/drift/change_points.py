@@ -47,7 +47,7 @@ class NullDistribution:
 
     @classmethod
     def theoretical(cls, r: int) -> NullDistribution:
-        """Return that of a known variation: chi-square with r degrees of freedom."""
+        """Return the distribution for a known variation: chi-square with r degrees of freedom."""
         return cls(1.0, float(r))
 
     @classmethod

@@ -177,7 +177,8 @@ class FleetColumns:
     def energies(self, grams: Sequence[Array], x: Array, beta: Array) -> Array:
         """Return the sum of squares of a torque at each joint, (n,).
 
-        It is that of a change x (size,), or of the error about beta, too, times a last element.
+        It is the torque of a change x (size,); a last element of x adds that multiple of the error
+        about beta.
         """
         found = np.empty(self.n_joints)
         for k, gram in enumerate(grams):

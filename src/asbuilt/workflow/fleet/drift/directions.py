@@ -75,7 +75,7 @@ USUAL = UsualChanges()
 def usual_changes(columns: FleetColumns, information: Array, beta: Array) -> Array:
     """Return the changes of effects of usual size, (size, number of changes).
 
-    `information` is that of a day about the parameters beta.
+    `information` is what a day gives about the parameters beta.
     """
     found = []
     payload = np.repeat(USUAL.payload, (6, 3, 1))

@@ -304,14 +304,14 @@ def conclude_drift(
             ),
         ),
     )
-    said = [*findings, *(finding for holds, finding in possible if holds)]
+    reported = [*findings, *(finding for holds, finding in possible if holds)]
     return FleetDrift(
         ledger,
         None if since is None else since.isoformat(),
         tuple(decided),
         tuple(types),
         level,
-        ranked(said),
+        ranked(reported),
     )
 
 

@@ -64,9 +64,9 @@ def explain_change(
 ) -> tuple[FoundEffect, ...]:
     """Return the effects in a step of a robot at a day, the most important first.
 
-    Each effect alone is fitted to the step by generalised least squares beside the robot's mean,
-    with the variation from day to day in the covariance. The most worthy is taken by the rule of a
-    search for effects, then further ones beside it that are no chance and much of the change.
+    Each effect alone is fitted to the step by generalised least squares, together with the robot's
+    mean and the variation from day to day in the covariance. The rule of a search for effects takes
+    the most worthy, then further ones in addition that are no chance and much of the change.
     """
     columns = directions.columns
     beta = columns.fit(summed(days[: max(place, 1)]), directions.weights, directions.beta)

@@ -20,7 +20,7 @@ CLEAR = 1e-3
 OUTLYING = 0.01
 """Probability of a squared distance from which on a day has less weight."""
 OWN_DAYS = 12.0
-"""Days of its siblings that count beside a robot's own spread."""
+"""Days of its siblings that count in addition to a robot's own spread."""
 ITERATIONS = 3
 STEPS = 4
 """Scoring steps between two scans."""

@@ -247,7 +247,7 @@ def _frame(entry: Entry) -> pl.DataFrame:
 
 def _covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[str, Any]]:
     """Return the covariates of a block and joint; of the whole log, weighted by samples."""
-    said = []
+    listed = []
     for name, values in sorted(entry.covariates.items()):
         at = values[:, joint]
         if first == WHOLE:
@@ -257,8 +257,8 @@ def _covariates(entry: Entry, first: int, block: int, joint: int) -> list[dict[s
         else:
             value = float(at[block])
         if np.isfinite(value):
-            said.append({"name": name, "value": value})
-    return said
+            listed.append({"name": name, "value": value})
+    return listed
 
 
 def _frame_of(content: bytes) -> pl.DataFrame:
@@ -295,15 +295,15 @@ def _check_schema(frame: pl.DataFrame) -> None:
 
 def _entry(frame: pl.DataFrame, name: EntryName, settings: TypeSettings) -> Entry:
     row = frame.row(0, named=True)
-    said = EntryName(
+    stored = EntryName(
         row["robot_id"],
         row["date"].replace(microsecond=0),
         row["source_sha256"][:DIGITS],
         row["settings"],
         name.content,
     )
-    if said != name:
-        raise ValueError(f"it is the entry {said.path}")
+    if stored != name:
+        raise ValueError(f"it is the entry {stored.path}")
     if row["settings"] != settings.digest:
         raise ValueError(f"it belongs to the settings {row['settings']}")
     source, n = f"{row['log']} ({row['source_sha256'][:DIGITS]})", settings.model.n_joints
@@ -333,7 +333,7 @@ def _information(frame: pl.DataFrame, settings: TypeSettings, source: str) -> Sq
     joints, support = settings.model.joint_names, settings.plan.support
     n_blocks, left = divmod(len(frame), len(joints))
     if left or frame["joint"].to_list() != [*joints] * n_blocks:
-        raise ValueError("its joints are not those of its type")
+        raise ValueError("its joints differ from its type's")
     sizes = [(len(columns) + 1) * (len(columns) + 2) // 2 for columns in support]
     if frame["factor"].list.len().to_list() != sizes * n_blocks:
         raise ValueError("its factors have other columns than its type")
@@ -368,8 +368,8 @@ def _stored_tilt(frame: pl.DataFrame, settings: TypeSettings) -> tuple[Array, ..
 def _stored_covariates(frame: pl.DataFrame, information: SquareRootInformation) -> dict[str, Array]:
     shape = (information.n_blocks, information.n_joints)
     found: dict[str, Array] = {}
-    for row, said in enumerate(frame["covariates"].to_list()):
-        for each in said or ():
+    for row, covariates in enumerate(frame["covariates"].to_list()):
+        for each in covariates or ():
             values = found.setdefault(each["name"], np.full(shape, np.nan))
             values[divmod(row, information.n_joints)] = each["value"]
     return found

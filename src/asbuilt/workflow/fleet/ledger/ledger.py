@@ -170,7 +170,7 @@ class Ledger:
         return name
 
     def append_settings(self, settings: TypeSettings) -> TypeSettings:
-        """Write the settings of a type; return those of the first of several writers.
+        """Write the settings of a type; return the settings of the first of several writers.
 
         Raises `ResultError` if that one's file is damaged.
         """
@@ -179,8 +179,8 @@ class Ledger:
         return TypeSettings.from_content(self.store.read(settings.path), settings.path)
 
     def _skip(self, path: str, problem: ResultError) -> None:
-        said = problem.message if path in problem.message else f"{path}: {problem.message}"
-        self._say(Finding("ledger_file_damaged", "warning", f"Skipped: {said}", problem.cure))
+        message = problem.message if path in problem.message else f"{path}: {problem.message}"
+        self._say(Finding("ledger_file_damaged", "warning", f"Skipped: {message}", problem.cure))
 
     def _name_foreign(self, path: str) -> None:
         self._say(
@@ -244,7 +244,7 @@ def _check_mark(root: str, store: Store) -> None:
     except (ValueError, KeyError, TypeError, AttributeError) as problem:
         raise ResultError(
             f"{root} is not a ledger: {MARK} is damaged ({type(problem).__name__})",
-            cure=Cure(f"restore {MARK} from that of another ledger of the same version"),
+            cure=Cure(f"restore {MARK} from another ledger of the same version"),
             file=root,
         ) from problem
     if written != FORMAT:

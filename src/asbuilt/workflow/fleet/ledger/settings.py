@@ -40,7 +40,7 @@ class TypeSettings:
     robot_type
         Name and digest of the robot as described: robots of one description are one type.
     generation
-        Number of times that the type was made anew.
+        Number of times that the type was made again.
     described
         The robot as described.
     model
@@ -180,7 +180,7 @@ def _restored(content: bytes, path: str) -> TypeSettings:
 
 
 def robot_type_of(described: RobotModel) -> str:
-    """Return the name of a robot type: that of the description, and a digest of what it says."""
+    """Return the name of a robot type: the description's name and a digest of its content."""
     document = model_document(described)
     what = {key: value for key, value in document.items() if key not in DESCRIBED}
     return f"{quote(described.name, safe='')[:60]}-{_digest(what)}"

@@ -149,7 +149,7 @@ class LocalStore:
         self._folder = Path(root)
 
     def names(self, folder: str) -> list[str]:
-        """Return the names in a folder, those of files that are being written left out."""
+        """Return the names in a folder, without files that are being written."""
         place = self._folder / folder
         try:
             return sorted(path.name for path in place.iterdir() if not path.name.startswith("."))

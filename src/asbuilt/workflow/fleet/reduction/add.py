@@ -213,9 +213,9 @@ def conclude_addition(
     """Return what became of all logs, in the order of their paths, and what is suspicious."""
     ordered = sorted(reports, key=lambda each: each.log)
     added = tuple(each for each in ordered if each.added)
-    said = [found for each in ordered for found in each.findings]
+    findings = [found for each in ordered for found in each.findings]
     if fixed:
-        said += [
+        findings += [
             Finding(
                 "ledger_settings_fixed",
                 "info",
@@ -224,7 +224,7 @@ def conclude_addition(
             for each in settings
         ]
     for robot_id in sorted({each.robot_id for each in added}):
-        said += suspicions(ledger, robot_id)
+        findings += suspicions(ledger, robot_id)
     return Addition(
         ledger=ledger.root,
         settings=settings,
@@ -232,7 +232,7 @@ def conclude_addition(
         added=added,
         skipped=tuple(e for e in ordered if not e.added and e.problem is None),
         failed=tuple(each for each in ordered if each.problem is not None),
-        findings=ranked([*said, *ledger.findings]),
+        findings=ranked([*findings, *ledger.findings]),
         seconds=time.monotonic() - began,
         dashboard=dashboard,
     )

@@ -178,7 +178,7 @@ def choose_settings(
     robot_type
         Name of the type, if it has one.
     generation
-        Number of times that the type was made anew.
+        Number of times that the type was made again.
 
     Raises
     ------

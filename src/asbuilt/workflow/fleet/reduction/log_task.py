@@ -38,12 +38,12 @@ from asbuilt.workflow.prepare import prepare
 
 @dataclass(frozen=True, slots=True)
 class LogRules:
-    """Hold how a log is reduced, and when it differs from those of its type."""
+    """Hold how a log is reduced, and when it differs from the logs of its type."""
 
     blocks: int = 16
     """Time blocks of a log: they are 5 s or longer, and standard errors need 8 or more in all."""
     other_cutoff: float = 1.5
-    """Ratio of the cutoff that a log calls for to that of its type from which it is named."""
+    """Ratio from which a log's cutoff is named as differing from the cutoff of its type."""
     other_position: float = 5e-3
     """Difference of positions [rad or m] of a locked joint from which two logs do not merge."""
     checked_seconds: float = 120.0
@@ -53,7 +53,7 @@ class LogRules:
 
 RULES = LogRules()
 COVARIATES = ("temperature", "temp")
-"""Words in the names of quantities that are kept beside the information."""
+"""Words in the names of quantities that are kept in addition to the information."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ def reduce_log(task: LogTask) -> LogReport:
 def reduced_entry(
     task: LogTask, settings: TypeSettings, digest: str
 ) -> tuple[Entry, tuple[Finding, ...]]:
-    """Return the entry of a recording, and what is to be said of it.
+    """Return the entry of a recording, and its findings.
 
     Raises
     ------

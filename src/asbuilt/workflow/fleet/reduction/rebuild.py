@@ -1,4 +1,4 @@
-"""A ledger made anew from its logs, with settings chosen from many of them."""
+"""Rebuild of a ledger from its logs, with settings chosen from many of them."""
 
 from __future__ import annotations
 

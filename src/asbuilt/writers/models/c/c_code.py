@@ -69,7 +69,7 @@ def c_code(
     velocity, and `PREFIX_momentum(q, qd, p, gradient)`, which gives `M qd` and `C^T qd`.
     `observer` returns the momentum observer for a prefix. Drive terms add to inverse dynamics and
     regressor; `drive` and `drive_values` (joint by
-    joint) default to those of the model. The code allocates nothing and calls libm only.
+    joint) default to the model's. The code allocates nothing and calls libm only.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def write_c(
     drive_values: ArrayLike | None = None,
     observer: Callable[[str], ObserverCode] | None = None,
 ) -> tuple[Path, Path]:
-    """Write `NAME.c` and `NAME.h` beside it, with the functions of `c_code`; returns both paths."""
+    """Write `NAME.c` and `NAME.h` with the functions of `c_code`; return both paths."""
     target = Path(path)
     if target.suffix != ".c":
         raise UsageError(f"C code is written to NAME.c and its header NAME.h, got {target.name!r}")
@@ -349,8 +349,8 @@ void {name}_momentum(const double q[{n}], const double qd[{n}], double p[{n}],
 def _tables(base: BaseParameters, beta: Array, name: str) -> str:
     entries = zip(base.ids, base.names, base.expressions, base.units, strict=True)
     table = [
-        f"    {{{number}, {_string(called)}, {_string(said)}, {_string(unit)}}}"
-        for number, called, said, unit in entries
+        f"    {{{number}, {_string(called)}, {_string(text)}, {_string(unit)}}}"
+        for number, called, text, unit in entries
     ]
     rows = ",\n".join(table)
     numbers = ",\n".join(f"    {_number(value)}" for value in beta)

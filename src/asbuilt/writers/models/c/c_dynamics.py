@@ -161,7 +161,7 @@ class Mechanism:
         return at_joint, self._carried(lambda j: self._momentum(of_link[j], chi[j]))
 
     def _carried(self, own: Callable[[int], Wrench]) -> list[Wrench]:
-        """Return the wrench that each joint carries, in its axes, from those of the links."""
+        """Return the wrench that each joint carries, in its axes, from the wrenches of links."""
         n = self.tree.n_joints
         above: list[list[Wrench]] = [[] for _ in range(n)]
         found = [Wrench(NOTHING, NOTHING)] * n
@@ -427,7 +427,7 @@ def drive_entries(
 def with_drives(
     mechanism: Mechanism, torques: list[Term], drive: DriveSet, values: Array, parameters: Array
 ) -> list[Term]:
-    """Return joint torques with those of drive terms of these values added."""
+    """Return joint torques with the torques of drive terms of these values added."""
     found = list(torques)
     for entry, value in zip(drive_entries(mechanism, drive, parameters), values, strict=True):
         for j, column in entry.items():

@@ -164,7 +164,7 @@ def _threshold_header(name: str, n: int, thresholds: Thresholds) -> str:
  * {3600.0 * thresholds.hours:.0f} s that they were set on: level times the scale of the errors at
  * this speed and pose, the covariance of the parameters included, half of the steps of torque,
  * and half of the friction whose direction is unknown.
- * q is that of the last update.{filtered}
+ * q is the position of the last update.{filtered}
  */
 void {name}_observer_threshold(const {name}_observer *observer, const double q[{n}],
     double threshold[{n}]);

@@ -47,8 +47,8 @@ class ExportedDrives:
     @property
     def origin(self) -> str:
         """Where the numbers come from, in one line of plain characters."""
-        said = f"{self.result.robot}, identified from {', '.join(self.result.sources)}"
-        return " ".join(re.sub(r"[^ -~]", "?", said).replace("\\", "/").replace('"', "'").split())
+        text = f"{self.result.robot}, identified from {', '.join(self.result.sources)}"
+        return " ".join(re.sub(r"[^ -~]", "?", text).replace("\\", "/").replace('"', "'").split())
 
     def by_joint(self, value: Callable[[Joint], float | None]) -> dict[str, float]:
         """Return a value of every joint by name, zero where there is none."""
@@ -64,15 +64,15 @@ class ExportedDrives:
         gains: bool = True,
         falling: bool = False,
     ) -> tuple[str, ...]:
-        """Return notes on what a format cannot hold, apart from what it is said to hold."""
+        """Return notes on what a format cannot hold, apart from `carried` terms and the options."""
         notes = list(left_out_drives(self.plain, carried, kind))
         for key in ("asymmetric_coulomb", "smooth_coulomb"):
             if key not in carried and any(key in joint.drive.terms for joint in self.model.joints):
                 notes.append(f"{key.replace('_', ' ')} friction is written as Coulomb friction")
         offsets = self.by_joint(lambda joint: joint.drive.offset)
         if not offset and any(offsets.values()):
-            said = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
-            notes.append(f"{kind} has no place for the offsets of the drives [N m or N]: {said}")
+            listed = ", ".join(f"{name} {each:.4g}" for name, each in offsets.items() if each)
+            notes.append(f"{kind} has no place for the offsets of the drives [N m or N]: {listed}")
         notes += servo_left_out(self.servo, kind, delay=delay, falling=falling)
         if gains and not self.has_gains:
             notes.append(

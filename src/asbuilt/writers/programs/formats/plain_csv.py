@@ -51,7 +51,7 @@ class CsvFormat(ProgramFormat):
             request,
             (
                 (
-                    "A proposal: change names of columns, units and sign to those of your log, or"
+                    "A proposal: adapt names of columns, units and sign to your log, or"
                     " log like this. torque_source is sensor, motor or current (then gains in N"
                     " m/A); sign = -1 where the log gives what the link exerts on the drive."
                 ),

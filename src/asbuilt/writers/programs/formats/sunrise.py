@@ -124,12 +124,12 @@ class SunriseFormat(ProgramFormat):
             ),
             (
                 f"Copy {request.stem}_log.txt from the DataRecorder folder of the controller and"
-                f" keep {request.stem}_log.toml beside it: asbuilt identify ROBOT"
+                f" keep {request.stem}_log.toml next to it: asbuilt identify ROBOT"
                 f" {request.stem}_log.txt"
             ),
             planner
             + "its timing between the points is the controller's own, so the margins of velocity"
-            " hold, those of acceleration and torque are for the designed timing.",
+            " hold; the margins of acceleration and torque are for the designed timing.",
         )
         text = render(
             "Sunrise.java.j2",

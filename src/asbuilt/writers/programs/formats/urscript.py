@@ -86,7 +86,7 @@ class UrScriptFormat(ProgramFormat):
                 " the robot."
             ),
             (
-                f"Keep {stem}_log.toml beside the log and enter the gains of your robot's joints:"
+                f"Keep {stem}_log.toml next to the log and enter the gains of your robot's joints:"
                 f" asbuilt identify ROBOT {stem}_log.csv"
             ),
         )

@@ -155,7 +155,7 @@ VERDICT = """\
 {% endif %}
 """
 MOST_FINDINGS = 5
-"""Findings beside the verdict, the first of the study; all are in a section of their own."""
+"""Findings next to the verdict, the first of the study; all are in a section of their own."""
 EFFECTS = """\
 <p class="quiet">Torque error on held-out groups of different motion without an effect (grey) and\
  with it (colour). An effect that is not in the model is named only.</p>
@@ -175,12 +175,12 @@ EFFECTS = """\
 
 def _verdict(report: Report) -> dict[str, Any]:
     study = report.study
-    said = [each for each in study.findings if each.severity != "info"]
+    findings = [each for each in study.findings if each.severity != "info"]
     return {
         "text": study.verdict.text,
         "mood": MOODS[study.verdict.use],
         "cards": study_cards(study),
-        "findings": said[:MOST_FINDINGS],
+        "findings": findings[:MOST_FINDINGS],
     }
 
 

@@ -1,4 +1,4 @@
-"""Section: all base parameters with their intervals beside CAD."""
+"""Section: all base parameters with their intervals, next to CAD."""
 
 from __future__ import annotations
 

@@ -169,9 +169,9 @@ def _joint(name: str, rollout: Rollout, k: int, unit: str) -> tuple[str, list[An
         (COLOURS[what], 1.6, _pieces(error, -bound, bound, 172.0, 248.0))
         for what, error in errors.items()
     ]
-    said = [f"{_length(each, unit)} {_BY[what]}" for what, each in reversed(largest.items())]
+    texts = [f"{_length(each, unit)} {_BY[what]}" for what, each in reversed(largest.items())]
     extent = f"{measured.min():.3g} to {measured.max():.3g} {unit}"
-    return name, lines, extent, ", ".join(said)
+    return name, lines, extent, ", ".join(texts)
 
 
 def _length(value: float, unit: str) -> str:

@@ -56,12 +56,12 @@ class Bam(SimulatorFormat):
             "BAM has its own law of the servo: kp and kd are not in its file": drives.has_gains,
             "BAM's own fits keep every parameter at zero or above; below zero at some joints are"
             f" {', '.join(negative)}": bool(negative),
-            "BAM has one Stribeck velocity and power for all terms: that of the first term is"
+            "BAM has one Stribeck velocity and power for all terms: the first term's is"
             f" written for {', '.join(uneven)}": bool(uneven),
         }
-        said = drives.left_out("BAM", carried=CARRIED, delay=True, gains=False)
+        left_out = drives.left_out("BAM", carried=CARRIED, delay=True, gains=False)
         text = json.dumps({name: each | late for name, each in sets.items()}, indent=2) + "\n"
-        return text, (*said, *(note for note, holds in own.items() if holds))
+        return text, (*left_out, *(note for note, holds in own.items() if holds))
 
 
 def parameter_set(joint: Joint) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class UsdOverlay(SimulatorFormat):
             "#usda 1.0",
             "(",
             f'    defaultPrim = "{root}"',
-            f'    doc = "{drives.origin}. Put this layer over that of the robot; angular'
+            f'    doc = "{drives.origin}. Put this layer over the robot layer; angular'
             ' coefficients are per degree."',
             "    kilogramsPerUnit = 1",
             "    metersPerUnit = 1",
