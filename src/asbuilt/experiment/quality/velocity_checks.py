@@ -27,7 +27,7 @@ class VelocityThresholds:
     unit: float = 0.2
     """Relative deviation of the gain from the gain of a unit."""
     gain: tuple[float, float] = (0.7, 1.4)
-    """Range of the gain of a usable velocity, the lower end also bounds its correlation."""
+    """Range of the gain of a usable velocity; the lower end also bounds its correlation."""
     same: tuple[float, float, float] = (0.15, 0.05, 0.95)
     """Of a wrong rate: least deviation of the common gain from 1, largest of the gains from it,
     and least correlation of each joint."""
