@@ -301,7 +301,9 @@ def _no_correlation(
 def _flip_cure(notes: Collection[str]) -> Cure:
     """Return the cure of all signs, which may have been flipped already."""
     if FLIPPED_TWICE in notes:
-        return Cure("keep one flip: by sign = -1 in the recording sheet, or of all torques")
+        return Cure(
+            "keep one of the two flips: sign = -1 in the recording sheet, or the flip of all torques"
+        )
     if FLIPPED in notes:
         return Cure("flip the torque sign back: it was flipped, here or by sign = -1 of the sheet")
     return Cure(
