@@ -302,7 +302,7 @@ def _flip_cure(notes: Collection[str]) -> Cure:
     """Return the cure of all signs, which may have been flipped already."""
     if FLIPPED_TWICE in notes:
         return Cure(
-            "keep one of the two flips: sign = -1 in the recording sheet, or the flip of all torques"
+            "keep one of the two flips: sign = -1 in the recording sheet, or the flip of all"
         )
     if FLIPPED in notes:
         return Cure("flip the torque sign back: it was flipped, here or by sign = -1 of the sheet")
