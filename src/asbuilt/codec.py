@@ -37,7 +37,7 @@ def stored(
     Parameters
     ----------
     key
-        Its name in plain data, by default that of the field.
+        Its name in plain data, by default the field's.
     missing
         What a stored None means where the type asks for a number.
     encode, decode
@@ -82,7 +82,7 @@ def restored(kind: type[T], data: Mapping[str, Any]) -> T:
 
 
 def decoded(kind: type[Any], data: Mapping[str, Any], but: Container[str] = ()) -> dict[str, Any]:
-    """Return the fields of a dataclass, those of `but` apart, as `restored` makes them."""
+    """Return the fields of a dataclass, except those in `but`, as `restored` makes them."""
     if not isinstance(data, Mapping):
         raise TypeError(f"{kind.__name__} is stored as an object, got {type(data).__name__}")
     hints, given = _hints(kind), {}  # type: ignore[arg-type]

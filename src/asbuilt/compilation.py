@@ -131,7 +131,7 @@ def kernel(
     """Compile for `signature` on first call, release the interpreter lock, keep the code on disk.
 
     A word per argument: `i` integer, `f` float, `b` truth, with the number of axes if it is an
-    array; capital letters are arrays that are written, small ones those that are read. Items are
+    array; uppercase stands for arrays that are written, lowercase for read ones. Items are
     neighbours in memory, but for `a`, floats of any layout. Without `nogil` short calls are faster;
     with `fastmath` sums may be taken in another order, several terms at once.
 
@@ -158,7 +158,7 @@ def import_kernels() -> list[Kernel]:
 
 
 def compile_kernels(report: Callable[[float], None]) -> None:
-    """Compile all kernels of the package that are not on disk; `report` tells the fraction done."""
+    """Compile all kernels of the package that are not on disk; `report` gets the fraction done."""
     missing = [each for each in import_kernels() if not each.is_on_disk()]
     for count, each in enumerate(missing):
         report(count / len(missing))

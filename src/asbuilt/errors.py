@@ -8,7 +8,7 @@ from typing import Any
 from asbuilt.findings import Cure
 
 LONG_WORD = re.compile(r"\S{300,}")
-"""Such as a name of 5000 letters from a damaged file, which an error quotes."""
+"""Such as a name of 5000 characters from a damaged file, which an error quotes."""
 
 
 class AsbuiltError(Exception):

@@ -184,8 +184,8 @@ def results_in_order(
     Raises
     ------
     AsbuiltError
-        That of the first task that raises one, as it would here; or one that names the loss of a
-        worker.
+        The error of the first task that raises one, as it would here; or one that names the loss
+        of a worker.
     """
     if workers is None:
         return [function(task) for task in tasks]
@@ -206,7 +206,7 @@ def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> Res
 
 @contextmanager
 def open_workers(workers: int | None = None, scheduler: str | None = None) -> Iterator[Workers]:
-    """Yield workers: processes of this machine, or those of a Dask scheduler.
+    """Yield workers: processes of this machine, or the workers of a Dask scheduler.
 
     Parameters
     ----------

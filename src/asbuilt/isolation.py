@@ -1,7 +1,7 @@
 """Child processes of this program: nothing that lies in the current folder is imported or run.
 
 A robot or a log often lies in a folder of its own, which a stranger filled. Python looks for
-modules there first, so that a file `resource.py` beside a robot would be run.
+modules there first, so that a file `resource.py` next to a robot would be run.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ def share(fraction: float | None, digits: int = 1) -> str:
 
 
 def beside(value: float, error: float | None) -> str:
-    """Round a number for printing beside another of standard error `error`.
+    """Round a number for printing next to another of standard error `error`.
 
     It keeps four significant digits, fewer if it is far below the error.
 

@@ -231,8 +231,8 @@ def depth(content: Any) -> int:
 
 def reason(problem: BaseException, most: int = 200) -> str:
     """Return why something failed in one short line, without the path, which the caller gives."""
-    said = getattr(problem, "strerror", None) or str(problem).strip()
-    return shortened(str(said), most) or type(problem).__name__
+    text = getattr(problem, "strerror", None) or str(problem).strip()
+    return shortened(str(text), most) or type(problem).__name__
 
 
 def shortened(text: str, most: int = 200) -> str:

@@ -35,7 +35,7 @@ def atomic_write(
     create: bool = False,
     own: bool = False,
 ) -> Path:
-    """Write `data` under a temporary name beside `path`, then rename it onto `path`.
+    """Write `data` under a temporary name next to `path`, then rename it onto `path`.
 
     Text is written as UTF-8 with its line ends. Missing folders are made. Inside `file_set` the
     file is renamed with the others.
@@ -47,7 +47,7 @@ def atomic_write(
     data
         Its content, whole or in pieces.
     mode
-        Its permissions; None: those of the file that is replaced, or what the umask leaves.
+        Its permissions; None: the replaced file's, or what the umask leaves.
     create
         Whether it is made only if nothing has its name, of several writers by the first alone.
     own

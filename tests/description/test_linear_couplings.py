@@ -117,7 +117,7 @@ def test_contradictions_are_named(more: str, message: str) -> None:
     [
         ('extends = "none.urdf"\n', "where there is no file"),
         ('extends = "robot.toml"\n', "more than 8 files extend one another"),
-        (f'extends = "none.urdf"\n{LINKS}', "links cannot be said again"),
+        (f'extends = "none.urdf"\n{LINKS}', "links cannot be given again"),
     ],
 )
 def test_what_extends_nothing_is_refused(text: str, message: str, tmp_path: Path) -> None:

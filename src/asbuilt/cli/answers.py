@@ -102,13 +102,13 @@ class Screen:
 
 _screen: ContextVar[Screen | None] = ContextVar("screen of the running command", default=None)
 _listener: ContextVar[Callable[[str, float], None]] = ContextVar(
-    "who is told of progress beside the screen", default=lambda what, fraction: None
+    "listener to progress in addition to the screen", default=lambda what, fraction: None
 )
 
 
 @contextmanager
 def progress_told(listener: Callable[[str, float], None]) -> Iterator[None]:
-    """Tell `listener(what, fraction)` of the progress of commands, as the screen is told."""
+    """Report the progress of commands to `listener(what, fraction)` as to the screen."""
     token = _listener.set(listener)
     try:
         yield

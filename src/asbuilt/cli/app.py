@@ -90,7 +90,7 @@ def _arguments(command: Any, ctx: Any) -> list[Any]:
 
 
 class Commands(TyperGroup):
-    """All commands by group, or those of a command such as `fleet`, from the static table."""
+    """All commands by group, or the subcommands of one such as `fleet`, from the static table."""
 
     @property
     def _sections(self) -> Mapping[str, Mapping[str, Entry]]:
@@ -208,7 +208,7 @@ def _return_freed_memory() -> None:
 
 
 def _flushed(status: int) -> int:
-    """Write what is buffered; a full disk or a closed pipe is an error that is said once."""
+    """Write what is buffered; a full disk or a closed pipe is an error that is reported once."""
     if sys.stdout is None or sys.stderr is None:
         return status
     try:
@@ -243,9 +243,9 @@ def _status(given: list[str]) -> int:
     except (KeyboardInterrupt, EOFError, typer.Abort):
         status = INTERRUPTED
     except MemoryError as problem:
-        said = f": {problem}" if str(problem) else ""
+        detail = f": {problem}" if str(problem) else ""
         return _fail(
-            given, "MemoryError", f"there is not enough memory{said}; {_memory()}",
+            given, "MemoryError", f"there is not enough memory{detail}; {_memory()}",
             "use fewer samples: decimate, or cut the recording", {}, 1,
         )  # fmt: skip
     except Exception as problem:

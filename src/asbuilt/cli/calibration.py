@@ -71,7 +71,7 @@ def channels(
             metavar="LIST",
             help=(
                 "drive terms before the sensors (default: armature,viscous,coulomb,offset, and"
-                " those of coupled motors)"
+                " the terms of coupled motors)"
             ),
         ),
     ] = None,
@@ -105,11 +105,11 @@ def channels(
     )
     with progress_bar() as report:
         found = asbuilt.identify_channels(model, sensors, motors, options=options, progress=report)
-    said = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
+    messages = "".join(f"\n{wrapped(finding_text(each))}" for each in found.findings)
     answer(
         as_json,
         lambda: writers.channels_document(found),
-        lambda: writers.channels_text(found, full) + said,
+        lambda: writers.channels_text(found, full) + messages,
     )
 
 

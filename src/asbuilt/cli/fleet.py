@@ -186,7 +186,7 @@ def identify(
 ) -> None:
     """Identify a robot from the ledger alone, in any window of dates.
 
-    The parameters are those of `asbuilt identify` on the same logs with the same method, chain and
+    It gives the parameters of `asbuilt identify` on the same logs with the same method, chain and
     drive terms.
     """
     study = asbuilt.fleet_identify(

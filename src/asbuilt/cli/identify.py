@@ -157,7 +157,7 @@ def export(
     ] = None,
     c: Annotated[
         Path | None,
-        typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it"),
+        typer.Option("--c", metavar="FILE", help="C99 code FILE.c, with its header FILE.h"),
     ] = None,
     observer: Annotated[
         Path | None,
@@ -180,7 +180,7 @@ def export(
         typer.Option(
             "--original",
             metavar="FILE",
-            help="URDF to edit [default: that of the robot]",
+            help="URDF to edit [default: the robot's]",
         ),
     ] = None,
     nearest: Annotated[

@@ -58,7 +58,7 @@ def excite(
     program: Annotated[
         list[str] | None,
         typer.Option(
-            "--program", metavar="FORMAT", help="controller program beside the motion; repeatable"
+            "--program", metavar="FORMAT", help="also write a controller program; repeatable"
         ),
     ] = None,
     out: Annotated[
@@ -86,7 +86,7 @@ def excite(
         ),
     ] = None,
     report: Annotated[
-        bool, typer.Option("--report/--no-report", help="draw the motion on a page beside it")
+        bool, typer.Option("--report/--no-report", help="draw the motion on a page next to it")
     ] = True,
     fixed_base: FixedBase = False,
     full: Full = False,
@@ -172,7 +172,7 @@ def _programs(
     out: Path,
     collision: str | None,
 ) -> dict[str, Path]:
-    """Write the programs of a motion into folders beside its file."""
+    """Write the programs of a motion into folders next to its file."""
     files: dict[str, Path] = {}
     for form in forms or ():
         made = asbuilt.make_program(model, motion, form, name=out.stem, collision=collision)

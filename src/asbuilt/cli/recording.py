@@ -176,7 +176,7 @@ def simulate(
             min=0,
             help=(
                 "seed of the robot alone, so that --seed draws another motion and other noise of"
-                " the same robot (default: that of --seed)"
+                " the same robot (default: the value of --seed)"
             ),
         ),
     ] = None,
@@ -195,7 +195,7 @@ def simulate(
 ) -> None:
     """Record a virtual robot along a motion, or simulate it without controller.
 
-    The parameters of the robot are written beside the recording.
+    The parameters of the robot are written next to the recording.
     """
     runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
     kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory", "servo"))

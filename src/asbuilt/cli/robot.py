@@ -69,7 +69,7 @@ def show(
 ) -> None:
     """Show geometry, mass properties, limits and the physical consistency of every link.
 
-    Of a result, those of the robot as built, masses of CAD beside them.
+    For a result, it shows the robot as built, and CAD masses for comparison.
     """
     if Path(robot).suffix.lower() != ".json":
         model = described_robot(
@@ -317,7 +317,7 @@ def masses(
 ) -> None:
     """Compute mass properties of links from meshes and materials or from a CAD table.
 
-    They stand beside those of the description, the least plausible first. Without densities,
+    The table compares them with the description, the least plausible first. Without densities,
     materials and table, each link keeps its mass, spread evenly over its geometry.
     """
     found = asbuilt.link_masses(
@@ -334,8 +334,8 @@ def masses(
     )
     files, notes = {}, {}
     if out is not None:
-        files["robot"], said = writers.write_masses(out, found)
-        notes["robot"] = said
+        files["robot"], note = writers.write_masses(out, found)
+        notes["robot"] = note
     shown = found.findings if full else found.findings[:10]
     lines = [wrapped(finding_text(finding)) for finding in shown]
     if len(found.findings) > len(shown):

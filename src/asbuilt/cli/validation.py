@@ -99,7 +99,7 @@ def validate(
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
-    """Predict recordings with an identified model, and with CAD beside it."""
+    """Predict recordings with an identified model, and with CAD for comparison."""
     distinct_logs(log)
     if rollout is None:
         refuse_idle("--animation shows a rollout", {"--animation": animation is not None})
@@ -267,7 +267,7 @@ def compare(
         )
     if other is not None or controller is not None:
         refuse_idle(
-            "tolerances are those of CAD, with which --with and --controller compare nothing",
+            "tolerances apply to CAD, with which --with and --controller compare nothing",
             {"--cad-tolerance": cad_tolerance is not None},
         )
     recording = (
@@ -278,8 +278,8 @@ def compare(
         later, names = asbuilt.read_result(other), (str(result), str(other))
         drift = asbuilt.compare_results(identified, later, labels=names)
     elif recording is not None:
-        judged = ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked)
-        drift = asbuilt.compare_controller(identified, recording, options=judged)
+        scoring = ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked)
+        drift = asbuilt.compare_controller(identified, recording, options=scoring)
     if drift is not None:
         files = writers.write_drift(out, drift) if out is not None else {}
         answer(
@@ -323,7 +323,7 @@ def review(
             "--cad-tolerance",
             metavar="30%",
             help=(
-                "plausible errors of masses, centres and inertias while another number is judged:"
+                "plausible errors of masses, centres and inertias while another number is tested:"
                 " one fraction or three"
             ),
         ),
@@ -422,9 +422,9 @@ def watch(
         files |= timelines.write(
             lambda: [writers.timeline_of_watched(identified.model, watched, logged)]
         )
-    said = "".join(folded(finding_text(each)) + "\n" for each in watched.findings)
+    messages = "".join(folded(finding_text(each)) + "\n" for each in watched.findings)
     answer(
         as_json,
         lambda: writers.with_files(watched.as_document(), files),
-        lambda: watched.as_text(full) + ("\n" + said if said else "") + listed_files(files),
+        lambda: watched.as_text(full) + ("\n" + messages if messages else "") + listed_files(files),
     )

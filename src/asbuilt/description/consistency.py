@@ -10,7 +10,7 @@ def inconsistencies(model: RobotModel) -> tuple[str, ...]:
 
     Such as `"link 4: Ixx + Iyy < Izz by 0.0009 kg m^2 (about the centre of mass)"`.
 
-    Links are numbered from 1; the condition is that of `LinkInertia.inconsistency` (Wensing, Kim
+    Links are numbered from 1; `LinkInertia.inconsistency` states the condition (Wensing, Kim
     and Slotine, 2018). A link whose mass properties the description does not give is passed over.
     """
     return tuple(

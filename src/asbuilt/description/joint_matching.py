@@ -21,7 +21,7 @@ def words_of(name: str) -> list[str]:
 
 
 def names_gripper(joint: str) -> bool:
-    """Return whether the name of a joint is that of a gripper.
+    """Return whether a joint has the name of a gripper.
 
     >>> [names_gripper(each) for each in ("left_gripper", "Jaw", "wrist_roll")]
     [True, True, False]
@@ -35,7 +35,7 @@ def match_joints(
     """Return the position of each joint's label, and notes on what was assumed.
 
     Names are equal if their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a name
-    space; a number alone is a name where both sides only count (`wrist_1_joint` beside
+    space; a number alone is a name where both sides only count (`wrist_1_joint` next to
     `elbow_joint` is no `joint_1`). Joints that the robot does not have, such as a gripper's, are
     left out, unless the labels only count them. If no name fits, labels that count
     (`lbr_joint_0`, ...) are matched to the robot's joints in numeric order.
@@ -125,7 +125,7 @@ def _same_named_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
 
 
 def _both_count(labels: Sequence[str], joint_names: Sequence[str]) -> bool:
-    """Return whether the names of both sides differ in a number alone, those of grippers aside."""
+    """Return whether the names of both sides differ in a number alone, grippers aside."""
     return all(
         numbers_in([name for name in names if not names_gripper(name)]) is not None
         for names in (labels, joint_names)

@@ -84,7 +84,7 @@ def load_robot(
         after a sole and `:RADIUS` [m] after a ball, which touches below its centre.
     trust_xacro
         Whether a xacro file may run any Python that its expressions hold; else they are evaluated
-        on a list of arithmetic, properties and `math`, and include only files beside it.
+        on a list of arithmetic, properties and `math`, and include only files next to it.
 
     Returns
     -------

@@ -80,10 +80,10 @@ class RobotModel:
     """Describe a robot: joint i moves link i; every parent precedes its children.
 
     Fixed joints are already merged. Joints that follow others (`mimic`) have no drive and no column
-    in a log: the constructor sets them apart as `followers`, which move the links behind those of
+    in a log: the constructor sets them apart as `followers`, whose links come after the links of
     the `joints`. So do passive joints, which `loops` place; `posture` says where joints are, by
-    name, when the loops are closed, roughly [rad or m]. Where no joint is said to be passive, those
-    are that have no drive, or else the last ones of each chain. The names of `joints` are those of
+    name, when the loops are closed, roughly [rad or m]. Where no joint is named passive, the joints
+    without a drive are, or else the last ones of each chain. The names of `joints` also name
     the coordinates of the robot: columns of a log, drives. A joint that several of them move, or
     one by a factor, says so in its `mimic`.
 
@@ -98,7 +98,7 @@ class RobotModel:
     `held_followers` those among them that follow a joint which moves, with that joint;
     `assumed_carriers` are those that carry a joint which moves, or move it too, at a position that
     nobody gave.
-    `mass_ranges` are what is known of masses beside the description, as from a scale.
+    `mass_ranges` bound masses from sources other than the description, such as a scale.
     `usual_drive` names the drive terms that this robot calls for, empty for those that the source
     of its torques calls for.
     `contacts` are where forces that nobody measures may act on a robot with a free base.
@@ -299,7 +299,7 @@ class RobotModel:
 
     @property
     def tool_link(self) -> int:
-        """Link that carries a tool: that of the last drive; below fingers, the one that has them.
+        """Link that carries a tool: the last drive's; below fingers, the one that has them.
 
         Where loops place joints, it is the link of the last frame, if a frame is on a link; on a
         free base it is the base. Fingers are links of different branches that one drive moves.
@@ -426,8 +426,8 @@ class RobotModel:
             ),
         )
         if found:
-            said = f"{joined(found, len(found))} taken for passive; name them if others are"
-            object.__setattr__(self, "notes", (*self.notes, said))
+            note = f"{joined(found, len(found))} taken for passive; name them if others are"
+            object.__setattr__(self, "notes", (*self.notes, note))
             self._set_followers_apart()
 
     @cached_property
@@ -565,7 +565,7 @@ class RobotModel:
         )
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
-        """Return the links from the root to that of `joint`, itself included, in order."""
+        """Return the links from the root to the link of `joint`, itself included, in order."""
         return tuple(ancestors(self.moving_joints, joint))
 
     def with_parameters(self, parameters: ArrayLike) -> RobotModel:

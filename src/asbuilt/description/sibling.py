@@ -1,6 +1,6 @@
 """A robot of the same type as built: the numbers of its links and drives, without its geometry.
 
-A sibling says more of a robot than CAD does. Its numbers take the place of those of a description,
+A sibling is closer to a robot than its CAD. Its numbers take the place of the description's,
 so that whatever is regularised toward CAD is regularised toward the sibling.
 """
 
@@ -82,7 +82,7 @@ class Sibling:
             replace(joint, drive=replace(joint.drive, **cast(Any, self.drives[joint.name])))
             for joint in model.joints
         )
-        note = f"links and drives are those of the sibling {self.robot} as built, not of CAD"
+        note = f"links and drives come from the sibling {self.robot} as built, not from CAD"
         parameters = np.concatenate([self.links[name] for name in model.link_names])
         return replace(model.with_parameters(parameters), joints=joints, notes=(*model.notes, note))
 
@@ -96,7 +96,7 @@ class Sibling:
 
 
 def read_sibling(path: str | Path) -> Sibling:
-    """Read the numbers of a robot as built from JSON, such as that of a page of docs/robots.
+    """Read the numbers of a robot as built from JSON, such as the file of a page of docs/robots.
 
     Raises
     ------

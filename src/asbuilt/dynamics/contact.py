@@ -3,7 +3,7 @@
 With the Jacobian J of the points in contact, `tau = Y chi - J^T f`. The projection
 `P = 1 - J^+ J` has `P J^T = 0`, so that `P tau = P Y chi` whatever the forces are (Khorshidi et
 al., 2025; Mistry, Buchli and Schaal, 2010). P is symmetric and `P P = P`: it changes no noise that
-is the same in all equations but takes its part along the contacts, and every row stays that of its
+is the same in all equations but takes its part along the contacts, and every row stays with its
 joint.
 """
 
@@ -46,7 +46,7 @@ def contact_jacobians(model: RobotModel, q: Array) -> tuple[Array, ...]:
 def contact_basis(
     model: RobotModel, q: Array, contact: Array, noise: Sequence[float] = ()
 ) -> Array:
-    """Return orthonormal rows that span those of `J^T f`, shape (m, n, N).
+    """Return orthonormal rows that span the torques `J^T f`, shape (m, n, N).
 
     `contact` (N, n_contacts) is above 0 where a contact is closed; rows of others are zero. Where
     equations are divided by the `noise` (n,) of each, so is J.

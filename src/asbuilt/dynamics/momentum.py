@@ -86,7 +86,7 @@ def lagged(share: Array, x: Array, start: Array | None = None) -> Array:
     """Return the first-order lag of x (N, m).
 
     `y_k = y_(k-1) + share_k (x_k - y_(k-1))`, from `start` (m,) or 0, with shares (N,); a negative
-    share starts anew at 0.
+    share starts again at 0.
     """
     out = np.empty(x.shape)
     begin = np.zeros(x.shape[1]) if start is None else np.array(start, dtype=np.float64)

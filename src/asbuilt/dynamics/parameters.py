@@ -1,6 +1,6 @@
 """Names, units and values of the standard parameters.
 
-Ten per link, link by link, then those of the drives, joint by joint.
+Ten per link, link by link, then the drive parameters, joint by joint.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def _moves(model: RobotModel) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class TreeRows:
-    """Hold which rows of the joints of all links make up those of the coordinates.
+    """Hold which rows of the joints of all links make up the rows of the coordinates.
 
     By virtual work `Y = G^T Y_tree`. `plan` evaluates the rows of the tree. Each of `sums` is a
     joint i of the tree and a coordinate k, with rows of the tree (m,), and the rows of the plan
@@ -123,7 +123,7 @@ class TreeRows:
         return cls(coupling, plan, tuple(sums))
 
     def weights(self, weights: Array, shares: Array, n_samples: int) -> Array:
-        """Return weights of the rows of the tree for those of the plan: the adjoint of `G^T`."""
+        """Return weights of the tree's rows for weights of the plan's: the adjoint of `G^T`."""
         found = np.zeros((self.plan.n_rows, n_samples))
         for i, k, own, rows in self.sums:
             found[own] += shares[..., i, k] * weights[rows, :n_samples]
@@ -378,8 +378,8 @@ def observation_matrix(
 
     Row `n_joints s + k` is joint k at sample s, shape (n_samples n_joints, n_columns).
 
-    `columns` (zero-based) chooses among the standard parameters, those of the links first, then
-    those of the drives joint by joint; None takes all.
+    `columns` (zero-based) chooses among the standard parameters, the links' first, then
+    the drives' joint by joint; None takes all.
     """
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
     chosen = None if columns is None else tuple(np.asarray(columns).tolist())

@@ -222,7 +222,7 @@ class LimitReport:
 def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> LimitReport:
     """Compare a motion, sampled at `rate` [Hz] and at its end, with the limits of the robot.
 
-    The torque is that of the rigid bodies and of the drive terms with values in the description.
+    The torque is due to the rigid bodies and the drive terms with values in the description.
     Infinite limits are not reported, nor is the jerk of motions whose acceleration jumps.
 
     Raises

@@ -84,7 +84,7 @@ class TorqueLimit(StateConstraint):
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the values, (N, models x limited joints, n, 3).
 
-        Those of described friction are central differences.
+        Central differences give the derivatives of described friction.
         """
         slopes = torque_derivatives(self._model, q, qd, qdd, self._parameters)
         if self._drive:

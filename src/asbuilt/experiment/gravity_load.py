@@ -18,7 +18,7 @@ CLEARLY_BETTER = 0.1
 
 @dataclass(frozen=True, slots=True)
 class GravityRules:
-    """Hold when positions and torques are taken for those of gravity's load."""
+    """Hold when positions and torques are taken for the load of gravity."""
 
     largest_angle: float = 400.0
     """Positions beyond are none, neither in radians nor in degrees."""

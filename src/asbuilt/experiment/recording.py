@@ -25,7 +25,7 @@ ENCODERS: Mapping[str, str] = {"motor": "q_motor", "link": "q_link"}
 
 
 FLIPPED = "the sign of every torque was flipped"
-FLIPPED_TWICE = "the sign of every torque was flipped twice, so that it is again that of the log"
+FLIPPED_TWICE = "the sign of every torque was flipped twice, so that it is again as logged"
 """Notes of `Recording.flipped`."""
 
 
@@ -65,7 +65,7 @@ class Recording:
     started
         Time from which `t` counts [s since 1970-01-01 UTC]; 0 if the log's clock has no date.
     undriven
-        Joints without a drive, such as those of a free base: their torque is known to be zero.
+        Joints without a drive, such as the joints of a free base: their torque is known to be zero.
     contact
         Contacts of a robot with a free base, (N, n_contacts), 1 where they are closed and 0 where
         they are open; None: it touches nothing.

@@ -178,10 +178,10 @@ BROKEN = {
         link('dh = {}\nkind = "helical"'),
         r"links\[1\] 'a'\.kind: .*'prismatic', got 'helical'",
     ),
-    "mass alone": (link("dh = {}\nmass = 1"), r"give com or first_moment beside mass"),
+    "mass alone": (link("dh = {}\nmass = 1"), r"give com or first_moment with mass"),
     "mass and com alone": (
         link("dh = {}\nmass = 1\ncom = [0, 0, 0]"),
-        r"give inertia_about_com or inertia_about_origin beside mass",
+        r"give inertia_about_com or inertia_about_origin with mass",
     ),
     "com without mass": (link("dh = {}\ncom = [0, 0, 0]"), r"com is given without mass"),
     "half a tensor": (

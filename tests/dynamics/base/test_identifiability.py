@@ -115,8 +115,8 @@ def test_no_sentence_calls_a_single_cause_by_a_foreign_name() -> None:
     assert (
         found["mx2"].why
         == "mx2: identifiable only in a sum: a mass on the axis of joint 2 has the effect of one of"
-        " link 1; the other effects of the mass are those of mx2; its sum with m2 is identifiable,"
-        " named mx2"
+        " link 1; the other effects of the mass equal the effects of mx2; its sum with m2 is"
+        " identifiable, named mx2"
     )
 
 

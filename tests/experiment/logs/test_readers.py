@@ -167,7 +167,7 @@ def test_files_of_one_quantity_each_in_shuffled_order(tmp_path: Path, logged: di
     )
     with pytest.raises(
         RecordingError,
-        match=(r"holds the position only.*run_efforts.csv, run_velocities.csv lie beside it"),
+        match=(r"holds the position only.*run_efforts.csv, run_velocities.csv lie next to it"),
     ):
         read_recording(paths[0])
     (tmp_path / "all.toml").write_text(

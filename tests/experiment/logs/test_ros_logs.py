@@ -312,7 +312,7 @@ def test_numbers_without_names_need_the_names_of_their_joints(
     for wrong, said in (
         (["base", "elbow"], "lists 2 command_joints"),
         (["base", "base", "elbow"], "lists 2 command_joints"),
-        (["base", "elbow", "hand"], "those of base, elbow, hand"),
+        (["base", "elbow", "hand"], "name base, elbow, hand"),
     ):
         with pytest.raises(RecordingError, match=said):
             read_ros_bag(bag.folder, command_joints=wrong)

@@ -124,7 +124,7 @@ def test_gains_of_a_servo_need_its_commands():
     with pytest.raises(RecordingError, match="no commanded positions, so that kp, deadband"):
         read_recording(columns, torque_source="command", kp=20.0, deadband=0.01)
     columns["q_command_1"] = [0.1, 0.2]
-    with pytest.raises(RecordingError, match="has torques beside its commands") as caught:
+    with pytest.raises(RecordingError, match="has torques in addition to its commands") as caught:
         read_recording(columns, kp=20.0)
     assert caught.value.cure.settings == {"torque_source": "command"}
     assert read_recording(columns, kp=20.0, torque_source="command").servo.kp == (20.0,)

@@ -215,7 +215,7 @@ def test_degrees_do_not_hide_a_flipped_sign(iiwa: RobotModel, clean: Recording) 
 def test_velocities(iiwa: RobotModel, clean: Recording) -> None:
     assert clean.qd is not None
     assert (
-        "velocity of A3 is that of A6"
+        "velocity of A3 belongs to A6"
         in finding(iiwa, replace(clean, qd=swapped(clean.qd, 2, 5)), "velocity_swapped").message
     )
     late = finding(iiwa, replace(clean, qd=np.roll(clean.qd, 4, axis=0)), "velocity_lag")

@@ -105,7 +105,7 @@ def test_a_rate_is_honoured_and_an_impossible_one_refused():
     (run,), rate, _ = uniform_segments(recorded(t), rate=40.0)
     assert rate == 40.0
     np.testing.assert_allclose(run.q, motion(run.t), atol=1e-5)
-    with pytest.raises(RecordingError, match="above that of the log, 100 Hz"):
+    with pytest.raises(RecordingError, match="above the rate of the log, 100 Hz"):
         uniform_segments(recorded(t), rate=400.0)
     with pytest.raises(RecordingError, match="at least 8 are required"):
         uniform_segments(recorded(t[:5]))

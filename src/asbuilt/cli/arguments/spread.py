@@ -71,7 +71,7 @@ class Common:
 
 
 ANY_NUMBER = Range(-1e18, 1e18)
-"""Numbers that any option may have; those of option classes have narrower ranges."""
+"""Numbers that any option may have; fields of option classes have narrower ranges."""
 _COMMON = {field.name for field in fields(Common)}
 
 
@@ -80,8 +80,8 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
 
     A parameter of an option class becomes one option for each field that has `help` in its
     metadata; `metavar`, `choices` (names, or names and what they stand for), `names` (a function
-    that returns names to complete), `parse` (from text) and `also` (other spellings) may stand
-    beside it. The command gets the class built from the
+    that returns names to complete), `parse` (from text) and `also` (other spellings) may be
+    given too. The command gets the class built from the
     options given, so that the class alone owns its defaults. `run(common, call)` calls the command.
     """
     hints = get_type_hints(command, include_extras=True)
@@ -195,8 +195,8 @@ def _collected(group: type[Any], given: dict[str, Any]) -> Any:
     except UsageError as problem:
         name = problem.fields.get("field", "")
         if name in values:
-            said = problem.message.replace(name, option_name(name), 1)
-            raise UsageError(said, cure=problem.cure, **problem.fields) from None
+            message = problem.message.replace(name, option_name(name), 1)
+            raise UsageError(message, cure=problem.cure, **problem.fields) from None
         raise
 
 

@@ -1,4 +1,4 @@
-"""The 2015 paper, table by table and figure by figure: our values beside those it prints."""
+"""The 2015 paper, table by table and figure by figure: our values and the printed ones."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SIMULATION_RATE = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReproducedParameter:
-    """Hold one row of Table 2, ours beside the paper's [SI].
+    """Hold one row of Table 2, our values and the paper's [SI].
 
     Parameters
     ----------

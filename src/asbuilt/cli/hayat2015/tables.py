@@ -1,4 +1,4 @@
-"""Tables of the reproduction: ours beside what the paper prints."""
+"""Tables of the reproduction: our values compared with the paper's."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def table_2(redone: Reproduction) -> Table:
 
 
 def agreement_sentence(redone: Reproduction) -> str:
-    """Return how many ids, expressions and CAD values equal those of the paper."""
+    """Return how many ids, expressions and CAD values equal the paper's."""
     total = len(redone.parameters)
     return (
         f"{redone.ids_equal} of {total} ids, {redone.n_same_expressions} of {total} expressions"

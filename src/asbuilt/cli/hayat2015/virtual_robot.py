@@ -2,7 +2,7 @@
 
 The recordings of the paper are not public. The virtual robot differs from CAD as Table 2 suggests:
 rows 8 and 22 of its robot column are 0.46 and 0.45 kg m below CAD, which a wrist lighter by 1.1 kg
-explains. Friction and smoothness of the motion are such that the errors of joint 1 are those of
+explains. Friction and smoothness of the motion are such that the errors of joint 1 match
 Table 3.
 """
 

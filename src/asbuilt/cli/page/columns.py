@@ -265,7 +265,7 @@ def write_sheet(
     log
         The log.
     given
-        The sheet that it was read with; None: the one beside the log, if there is one. Its other
+        The sheet that it was read with; None: the one next to the log, if there is one. Its other
         fields are kept.
     document
         What `asbuilt columns --json` printed: factors to SI, the source of torque.

@@ -1,8 +1,8 @@
 """Process that runs the commands of a page one after another, and that can be ended at any time.
 
 It is the command line: `main` gets the arguments, what it prints on stdout is the answer, and its
-progress is told line by line. Files of strangers meet the limits that they meet there, and a crash
-ends this process alone.
+progress is reported line by line. Files of strangers meet the limits that they meet there, and a
+crash ends this process alone.
 """
 
 from __future__ import annotations

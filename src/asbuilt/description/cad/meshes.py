@@ -43,7 +43,7 @@ MATERIALS: Mapping[str, float] = {
 }
 """Usual densities [kg/m^3]; the density of a named alloy is better given as a number."""
 DENSITIES = Range(0.0, 1e5, "kg/m^3", above=True)
-"""Densities, from those of foams to four times that of osmium."""
+"""Densities, from foams to four times the density of osmium."""
 
 PLAUSIBLE_SIZE = (1e-3, 10.0)
 """Length of a part [m] below and above which its unit is doubtful."""
@@ -103,7 +103,7 @@ class CadLink:
 
 
 def link_from_meshes(name: str, parts: Sequence[MeshPart]) -> CadLink:
-    """Return a link whose mass properties are those of uniform solids bounded by meshes.
+    """Return a link with the mass properties of uniform solids bounded by meshes.
 
     Needs the extra `cad` (trimesh).
 
@@ -143,7 +143,7 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
 class MeshSolid:
     """Hold a solid bounded by a mesh: inertia for unit density, corners of its box, doubts.
 
-    `inertia` is that of 1 kg/m^3, so that its mass is the volume [m^3]; `corners` (8, 3) are those
+    `inertia` is for 1 kg/m^3, so that its mass is the volume [m^3]; `corners` (8, 3) are corners
     of the box around it, along the axes of the file [m].
     """
 

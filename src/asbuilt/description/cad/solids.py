@@ -26,8 +26,8 @@ GeometryKind = Literal["visual", "collision"]
 class LinkSolid:
     """Hold the geometry of one link of the file, in the frame of the moving link that carries it.
 
-    `name` is the link of the file, `link` the index of the moving link. `inertia` is that of unit
-    density, its mass the volume [m^3]; `corners` (8 k, 3) are those of the boxes around its k
+    `name` is the link of the file, `link` the index of the moving link. `inertia` is for unit
+    density, its mass the volume [m^3]; `corners` (8 k, 3) belong to the boxes around its k
     bodies [m]. `missing` are meshes not found, `doubts` sentences on unreliable surfaces.
     """
 
@@ -47,8 +47,8 @@ def read_solids(
     """Read the solids of all links of the URDF that a robot came from.
 
     Of `<visual>` and `<collision>` the preferred one counts, unless its meshes are missing,
-    unreadable or not closed and those of the other are not. Meshes are looked for in `folders`,
-    then beside the file and in the folders above it. Bodies of one link add up.
+    unreadable or not closed and the other's are not. Meshes are searched in `folders`,
+    then next to the file and in the folders above it. Bodies of one link add up.
 
     Raises
     ------

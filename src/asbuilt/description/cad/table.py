@@ -59,7 +59,7 @@ def read_cad_table(
 
     Columns `link, part, mass, cx, cy, cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz` (part is optional, other
     usual names are understood). Units stand in the header, as in `mass [g]` and `Ixx [g mm^2]`, or
-    are given as `mass_unit` and `length_unit`; nothing is assumed. Two conventions must be said
+    are given as `mass_unit` and `length_unit`; nothing is assumed. Two conventions must be given
     because files do not say them: the tensor is `about` the centre of mass or the origin of the
     axes, and its `products` are the entries of the tensor, `-integral(x y dm)`, or the plain
     integrals `+integral(x y dm)`. `placements` gives the pose (4, 4) of the axes of the table in

@@ -119,12 +119,12 @@ class Actuators:
         held = [k for k in sorted(at_joints) if self.is_motor(k) or self.is_servo(k)]
         left = sorted(set(range(m.nu)) - set(held))
         late = [k for k in held if m.actuator_dyntype[k] != self.mujoco.mjtDyn.mjDYN_NONE]
-        for some, said in (
+        for some, note in (
             (left, "left out; motors and position actuators of joints are read"),
             (late, "taken to act at once; their dynamics are left out"),
         ):
             if some:
-                yield f"the actuators {', '.join(map(self._name, some))} are {said}"
+                yield f"the actuators {', '.join(map(self._name, some))} are {note}"
         for joint in range(m.njnt):
             several = [k for k in self.of(joint) if k in held]
             if len(several) > 1:
@@ -147,7 +147,7 @@ def coupled_by_equalities(
 ) -> tuple[list[Joint], int]:
     """Return the joints with those that follow others, and the number of equalities left out.
 
-    Those of `loops` are neither.
+    Equalities in `loops` are neither applied nor counted.
 
     By an equality of joints the first one follows; by one of tendons the first of its joints that
     has no actuator and follows none yet.
@@ -303,7 +303,7 @@ def _closed(
 def with_passive_joints(
     mujoco: Any, m: Any, joints: Sequence[Joint], links: Sequence[str], loops: Sequence[Loop]
 ) -> list[Joint]:
-    """Return the joints with those of loops that no actuator moves as passive.
+    """Return the joints; joints in loops that no actuator moves become passive.
 
     All stay as they are where the file has no actuator.
     """

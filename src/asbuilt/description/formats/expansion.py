@@ -1,8 +1,8 @@
 """Expansion of one xacro file: what a child process runs.
 
 The package xacro expands macros, properties and conditions. Its expressions are Python, from whose
-restrictions a generator's frames lead out, so that those of strangers are evaluated on a list of
-ours. Whatever that overlooks meets the audit hook, which lets nothing happen but reading.
+restrictions a generator's frames lead out, so that strangers' expressions are evaluated on a list
+of ours. Whatever that overlooks meets the audit hook, which lets nothing happen but reading.
 """
 
 from __future__ import annotations
@@ -231,8 +231,8 @@ def expand(path: str, largest: int, *, trusted: bool) -> None:
         answer.write(content)
         answer.flush()
     except BaseException as problem:
-        said = " ".join(str(problem).split()) or type(problem).__name__
-        reason.write(said[:300].encode(errors="replace"))
+        text = " ".join(str(problem).split()) or type(problem).__name__
+        reason.write(text[:300].encode(errors="replace"))
         reason.flush()
         status = 2
     os._exit(status)

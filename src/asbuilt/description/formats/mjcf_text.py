@@ -28,7 +28,7 @@ PALETTE = ("0.90 0.49 0.13 1", "0.86 0.87 0.88 1")
 def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True) -> str:
     """Return the robot as an MJCF document.
 
-    Placements and inertias keep full precision, so MuJoCo's torques are those of the model.
+    Placements and inertias keep full precision, so MuJoCo's torques equal the model's.
 
     The body frame is the link frame: with the joint at `before motion(q) after`, the body stands at
     `before after`, and the joint's axis and anchor in it are `R_after^T z` and `-R_after^T

@@ -1,7 +1,7 @@
 """Robots from SDF (Simulation Description Format), by way of the same robot as URDF.
 
 SDF states poses in the frame of the model or in any named frame, URDF from joint to joint. The
-robot is written anew as URDF, with a massless body at every joint, and read by that reader
+robot is rewritten as URDF, with a massless body at every joint, and read by that reader
 (format: http://sdformat.org/spec).
 """
 
@@ -77,7 +77,7 @@ def read_sdf(path_or_text: str | Path | bytes) -> RobotModel:
     """Read a robot from an SDF file or from the XML text itself.
 
     One model is read, by itself or in a world; included and nested models are refused. Gravity is
-    that of the world, else of the Earth.
+    the world's, else the Earth's.
 
     Raises
     ------
@@ -259,9 +259,9 @@ def _direction(axis: Element, frames: _Frames, name: str, place: str) -> Array:
     direction = np.array([0.0, 0.0, 1.0])
     if xyz is not None:
         direction = _numbers(xyz.text, 3, f"{place}: <xyz>")
-        said = xyz.get("expressed_in")
-        if said or _text(axis, "use_parent_model_frame", place, "false") in ("true", "1"):
-            turned = frames.pose(name)[:3, :3].T @ frames.pose(said or MODEL)[:3, :3]
+        frame = xyz.get("expressed_in")
+        if frame or _text(axis, "use_parent_model_frame", place, "false") in ("true", "1"):
+            turned = frames.pose(name)[:3, :3].T @ frames.pose(frame or MODEL)[:3, :3]
             direction = turned @ direction
     return direction
 

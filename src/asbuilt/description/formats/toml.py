@@ -247,7 +247,7 @@ def _model(file: RobotFile, source: str) -> RobotModel:
 
 
 def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
-    """Return the robot of another description with what a file says beside it."""
+    """Return the robot of another description with the additions of a file."""
     path = (folder or Path()) / file.extends
     if not path.is_file():
         raise DescriptionError(f"extends names {path}, where there is no file")
@@ -258,16 +258,16 @@ def _extended(file: RobotFile, source: str, folder: Path | None) -> RobotModel:
     model = found.read(path)
     every, links, frames = model.in_tree_order()
     joints = _with_passive(coupled_joints(every, _motors(file), _moved(file)), file)
-    said = {
+    changes = {
         name: getattr(file, name)
         for name in ("name", "citation", "usual_drive")
         if getattr(file, name)
     }
     if "gravity" in file.model_fields_set:
-        said["gravity"] = np.array(file.gravity)
+        changes["gravity"] = np.array(file.gravity)
     return replace(
         model,
-        **said,
+        **changes,
         joints=joints,
         followers=(),
         links=links,
@@ -286,12 +286,12 @@ def _refuse_long_chain(path: Path) -> None:
     while chain[-1].suffix == ".toml" and chain[-1].is_file():
         text = read_text(chain[-1], "description", DescriptionError)
         try:
-            beside = parsed_toml(text).get("extends")
+            extended = parsed_toml(text).get("extends")
         except ValueError:
-            return  # said where the file is read
-        if not isinstance(beside, str) or not beside:
+            return  # reported where the file is read
+        if not isinstance(extended, str) or not extended:
             return
-        chain.append(chain[-1].parent / beside)
+        chain.append(chain[-1].parent / extended)
         if len(chain) > LONGEST_CHAIN:
             raise DescriptionError(
                 f"more than {LONGEST_CHAIN} files extend one another, from {chain[0]} to"

@@ -149,11 +149,11 @@ class MassTable(_Table):
             ValueError,
             (
                 (self.com is None) == (self.first_moment is None),
-                "give com or first_moment beside mass, and only one of them",
+                "give com or first_moment with mass, and only one of them",
             ),
             (
                 (self.inertia_about_com is None) == (self.inertia_about_origin is None),
-                "give inertia_about_com or inertia_about_origin beside mass, and only one of them",
+                "give inertia_about_com or inertia_about_origin with mass, and only one of them",
             ),
             (
                 self.mass == 0.0 and not {"com", "inertia_about_origin"} & {*given},
@@ -242,7 +242,7 @@ class DriveTable(_Table):
         plain = [key for key in self.terms if key in type(self).model_fields]
         if plain:
             raise ValueError(
-                f"{plain[0]} stands beside terms, not among them: drive = {{{plain[0]} = 1.0}}"
+                f"{plain[0]} belongs next to terms, not among them: drive = {{{plain[0]} = 1.0}}"
             )
         if self.gear_ratio == 0.0:
             raise ValueError(
@@ -381,8 +381,8 @@ class CouplingTable(_Table):
 class LoopTable(_Table):
     """A loop: points of two links that coincide, or joints that move together.
 
-    `kind` is connect (points), weld (frames, that of link b turned by `rpy` or `rotation` in that
-    of link a) or joint (the first of `joints` is at a `polynomial` of the second).
+    `kind` is connect (points), weld (frames, of which link b's is turned by `rpy` or `rotation` in
+    link a's) or joint (the first of `joints` is at a `polynomial` of the second).
     """
 
     name: str = ""
@@ -460,7 +460,7 @@ class SpringTable(_Table):
 
 
 class RobotFile(_Table):
-    """The whole file; with `extends`, what it says beside another description."""
+    """The whole file; with `extends`, its additions to another description."""
 
     name: str = ""
     extends: str = ""
@@ -495,7 +495,7 @@ class RobotFile(_Table):
             ValueError,
             (
                 self.extends and own,
-                f"{', '.join(own)} cannot be said again of a robot that the file extends;"
+                f"{', '.join(own)} cannot be given again for a robot that the file extends;"
                 f" leave them to {self.extends}",
             ),
             (

@@ -79,7 +79,7 @@ class _Connection:
 
 @dataclass
 class _Tree:
-    """Gather what has been merged so far; `parts[i]` are those of moving link i, in its frame."""
+    """Gather what has been merged so far; `parts[i]` belong to moving link i, in its frame."""
 
     joints: list[Joint] = field(default_factory=list)
     links: list[str] = field(default_factory=list)

@@ -58,9 +58,9 @@ def read_xacro(path: str | Path) -> RobotModel:
             f"{path}: xacro takes longer than {LONGEST:.0f} s to expand it", file=str(path)
         ) from None
     if done.returncode:
-        said = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
+        message = done.stderr.decode("utf-8", "replace").strip() or "no reason given"
         raise DescriptionError(
-            f"{path}: xacro cannot expand it ({shortened(said)})",
+            f"{path}: xacro cannot expand it ({shortened(message)})",
             cure=Cure(
                 "expand it where its packages are installed, and give the URDF"
                 + ("" if trusted else "; or let it run any Python, if you trust whom it is from"),

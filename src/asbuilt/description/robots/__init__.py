@@ -1,1 +1,1 @@
-"""Robots by name: the bundled ones, and those of the package robot_descriptions."""
+"""Robots by name: bundled ones, and the ones in the package robot_descriptions."""

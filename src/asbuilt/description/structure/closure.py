@@ -62,9 +62,9 @@ class Postures:
 
 @dataclass(frozen=True, eq=False)
 class ShareDerivatives:
-    """Hold derivatives of the motion of the joints of the tree by that of the motors.
+    """Hold derivatives of the motion of the joints of the tree by the motion of the motors.
 
-    `second` (N, n_links, n, n) are those of f, `d^2 f_i / dq_j dq_k`; `turning` (N, n_links, n) is
+    `second` (N, n_links, n, n) is f's Hessian, `d^2 f_i / dq_j dq_k`; `turning` (N, n_links, n) is
     dG/dt, so that d qd_tree/dq is `turning` and d qdd_tree/dqd twice that; `position` (N, n_links,
     n) is d qdd_tree/dq.
     """

@@ -179,7 +179,7 @@ def _moved(work, n, order, moves, step):
 
 @part
 def _carried_along(u, moves, motor, bias):
-    """Write into u the rates of all coordinates for those of motors; passive ones less `bias`."""
+    """Write into u all coordinates' rates for the motors' rates; passive ones less `bias`."""
     passive, n = moves.shape
     for k in range(n):
         u[k] = motor[k]

@@ -3,7 +3,7 @@
 The coordinates q are what a log has a column of: motors, or joints that have a motor. The joints of
 all links, the coordinates of the tree of bodies, are at `A q + b`, so that by virtual work torques
 at them act on the coordinates by `A^T`. A joint that follows others (parallelograms, mimic joints)
-has no coordinate; one that several motors turn (wrists) has one beside others.
+has no coordinate; one that several motors turn (wrists) has its own and depends on others.
 """
 
 from __future__ import annotations
@@ -114,11 +114,11 @@ def separated(
     links: Sequence[Link],
     frames: Sequence[Frame],
 ) -> Separated:
-    """Set the joints that follow others apart, with their links behind those of the driven joints.
+    """Set the joints that follow others apart, with their links after the driven joints' links.
 
     `driven` are the places among `joints` of those that stay. Armature and friction of a follower
     of one joint count to that joint, reflected by the factor, and its limits narrow that joint's;
-    those of a follower of several are left out. Raises `DescriptionError` for a joint that follows
+    a follower of several loses its own. Raises `DescriptionError` for a joint that follows
     none of the robot, or itself.
     """
     tree_order(robot, joints, len(joints))
@@ -143,8 +143,8 @@ def separated(
         )
         if len(factors) == 1 and next(iter(factors)) in active:
             master, multiplier = next(iter(factors.items()))
-            active[master], said = _driving(active[master], joint, multiplier, offset)
-            notes += said
+            active[master], further = _driving(active[master], joint, multiplier, offset)
+            notes += further
         elif joint.drive != DriveValues() or joint.limits != JointLimits():
             notes.append(
                 f"drive and limits of joint {joint.name!r}, which several others move, are left out"
@@ -172,12 +172,12 @@ def _passive_notes(joint: Joint) -> Iterator[str]:
 
 def _sum_text(factors: Mapping[str, float], offset: float) -> str:
     """Return `'elbow' (position x -1 +0.1)`, or a sum of such terms."""
-    said = f"{offset:+.6g}" if offset else ""
+    constant = f"{offset:+.6g}" if offset else ""
     if len(factors) == 1:
         name, factor = next(iter(factors.items()))
-        return f"{name!r} (position x {factor:.6g}{said})"
+        return f"{name!r} (position x {factor:.6g}{constant})"
     return " ".join(f"{factor:+.6g} {name!r}" for name, factor in factors.items()) + (
-        f" {said}" if said else ""
+        f" {constant}" if constant else ""
     )
 
 
@@ -296,14 +296,14 @@ def _driving(
         notes.append(f"{', '.join(values)} of joint {follower.name!r} count to {joint.name!r}")
     if follower.drive.terms or follower.drive.kp is not None:
         notes.append(f"drive terms and servo of joint {follower.name!r} are left out")
-    limits, said = _narrowed(joint, follower, multiplier, offset)
-    return replace(joint, drive=replace(joint.drive, **values), limits=limits), [*notes, *said]
+    limits, further = _narrowed(joint, follower, multiplier, offset)
+    return replace(joint, drive=replace(joint.drive, **values), limits=limits), [*notes, *further]
 
 
 def _narrowed(
     joint: Joint, follower: Joint, multiplier: float, offset: float
 ) -> tuple[JointLimits, list[str]]:
-    """Return the limits of a joint within those of its follower, unless no motion would be left."""
+    """Return the limits of a joint within its follower's, unless no motion would be left."""
     own, other = joint.limits, follower.limits
     if not multiplier:
         return own, []

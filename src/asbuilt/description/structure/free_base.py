@@ -42,7 +42,7 @@ def base_of(n_floating: int) -> BaseKind:
 
 
 def count_base_joints(joints: Sequence[Joint], links: Sequence[Link]) -> int:
-    """Return how many of the first joints are those of a free base: 6, 3, or 0 on a fixed root."""
+    """Return how many of the first joints belong to a free base: 6, 3, or 0 on a fixed root."""
     for names in (JOINTS_OF["free"], JOINTS_OF["planar"]):
         between = links[: len(names) - 1]
         if tuple(joint.name for joint in joints[: len(names)]) == names and all(
@@ -114,7 +114,7 @@ def free_urdf(root: Element, kind: BaseKind, source: str) -> None:
 def free_mjcf(root: Element, kind: BaseKind, source: str) -> None:
     """Let the joints of a base take the place of the free joint of an MJCF model.
 
-    The pose of its body is then that of the joints alone, and shapes with a name, such as feet,
+    The pose of its body then follows from the joints alone, and shapes with a name, such as feet,
     become sites. Raises `DescriptionError` unless one body has a free joint.
     """
     free = [

@@ -122,7 +122,7 @@ def assumed_carriers(
 ) -> tuple[str, ...]:
     """Return the locked joints on which the pose of a moving one depends, and that nobody gave.
 
-    They carry it, or move it beside others. `before` are those known already, `joints` the ones
+    They carry it, or move it with others. `before` are those known already, `joints` the ones
     asked for, `values` those locked now, `places` where joints stand that are held. The weight of
     all that a joint carries turns with its position: at 0 it is a guess.
     """
@@ -286,7 +286,7 @@ class _Lock:
         return self.place(joint)
 
     def place(self, joint: Joint) -> float:
-        """Return the position of a joint itself by those of what moves it."""
+        """Return the position of a joint itself from the positions that move it."""
         if joint.mimic is None or (self._asked.get(joint.name) is not None and not joint.has_motor):
             return self.value(joint.name)
         moved = (factor * self.value(name) for name, factor in joint.mimic.factors.items())

@@ -1,9 +1,9 @@
 """Equations of loops: their gap, its derivative by the joints, and its acceleration.
 
-Coordinates u = (q, p) are those of motors and of passive joints; the joints of the tree are at
+Coordinates u = (q, p) belong to motors and to passive joints; the joints of the tree are at
 `A u + b`. The loops demand `phi(u) = 0`. A point x of a link moves by joint i, with axis z and
 origin o, as `dx/du_i = z x (x - o)`, or z where it slides; it turns by z. The acceleration of phi
-where no coordinate accelerates, `dJ/dt ud` with `J = dphi/du`, is that of the points.
+where no coordinate accelerates, `dJ/dt ud` with `J = dphi/du`, is the points' acceleration.
 
 Rows of phi are in the axes of the last link that both sides of a loop share, which may move.
 Lengths are in units of the loop's size, so that all rows are numbers of one kind.

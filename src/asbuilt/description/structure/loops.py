@@ -28,8 +28,8 @@ class Loop:
     """Close a chain of links that the tree of links leaves open.
 
     `connect` holds a point of one link on a point of another, as a ball joint does; two of them on
-    an axis are a hinge. `weld` holds their axes too: those of link b are turned by `rotation`
-    (3, 3) in those of link a. `joint` holds a joint, the first of `joints`, at the polynomial
+    an axis are a hinge. `weld` holds their axes too: the axes of link b are turned by `rotation`
+    (3, 3) in the axes of link a. `joint` holds a joint, the first of `joints`, at the polynomial
     `c_0 + c_1 x + ...` of the position x of the second, or at c_0 if there is none.
 
     `link_a`, `link_b` name links, frames or the root link; `point_a`, `point_b` (3,) are in their

@@ -92,7 +92,7 @@ class DriveValues:
     (rad per m where it slides), and takes them to the motor's. `terms` are further terms of the
     drive by key, each with its parameters by symbol and its nonlinear parameters by name:
     `{"stribeck": {"Fs": 0.3, "velocity": 0.05, "power": 2.0}}`. `kp` [N m/rad] and `kd`
-    [N m s/rad] are the gains of a position servo, whose torque limit is that of the joint.
+    [N m s/rad] are the gains of a position servo, whose torque limit is the joint's.
     """
 
     armature: float | None = None
@@ -165,7 +165,7 @@ class Joint:
 
     @property
     def has_motor(self) -> bool:
-        """Whether a motor of its own, which has its name, moves it, alone or beside others."""
+        """Whether a motor of its own, which has its name, moves it, alone or with others."""
         return self.mimic is None or self.name in self.mimic.factors
 
     @property
@@ -175,7 +175,7 @@ class Joint:
 
     @property
     def name_in_tree(self) -> str:
-        """Name of the joint itself, where that of its motor is another."""
+        """Name of the joint itself, where its motor has another name."""
         return self.name if self.mimic is None else self.mimic.joint or self.name
 
     def moved(self, position: float) -> Array:
@@ -206,7 +206,7 @@ class Link:
     `inertia` is the sum of its `parts`, which remember bodies merged over fixed joints.
 
     `inertia_known` is False where the description gave none and zeros stand in. A `negligible`
-    link is said to have an inertia too small to matter: none of its parameters is estimated.
+    link is declared to have an inertia too small to matter: none of its parameters is estimated.
     """
 
     name: str

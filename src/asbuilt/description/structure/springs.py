@@ -155,7 +155,7 @@ def _link(model: RobotModel, link: int) -> str:
 def _about_axis(spring: Spring, joint: Joint, below: Array, above: Array) -> dict[str, float]:
     """Return distances of both ends from the joint axis, along it, and the angle between them.
 
-    `below` (3,) is in the axes of the parent link, `above` (3,) in those of the joint's.
+    `below` (3,) is in the axes of the parent link, `above` (3,) in the axes of the joint's link.
     """
     R, p = joint.before[:3, :3], joint.before[:3, 3]
     at_rest = R.T @ (below - p)

@@ -147,7 +147,7 @@ class BaseParameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each base parameter: that of the standard parameter whose column is kept."""
+        """Name of each base parameter: the standard parameter whose column is kept."""
         return tuple(self.standard_names[column] for column in self.columns)
 
     @property

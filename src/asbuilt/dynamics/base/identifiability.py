@@ -54,7 +54,7 @@ class StandardParameter:
 class _LinkView:
     """Describe the motion of a link.
 
-    `phrase` is text, `turns` the number of directions it turns about, `screws` that of its twists,
+    `phrase` is text, `turns` counts the directions it turns about, `screws` its twists,
     `axis` its only axis of rotation, in its frame.
     """
 
@@ -169,7 +169,7 @@ def _closed_views(model: RobotModel) -> list[_LinkView]:
 
 
 def _in_loop(model: RobotModel, link: int, columns: Indices) -> str:
-    """Return why a parameter of a link in a loop is in a sum with those of others in it, or ""."""
+    """Return why a parameter of a link in a loop is summed with parameters of others, or ""."""
     others = {int(j) // 10 for j in columns if j < 10 * model.n_links} - {link}
     for loop in model.loops:
         if loop.kind == "joint":
@@ -345,7 +345,7 @@ def _in_sums(
             "it has an effect only through its inertia about that axis and the torque of gravity"
             " about it, which other parameters have too",
         ),
-        (of_drive, f"its effect on joint {link + 1} is that of a drive parameter"),
+        (of_drive, f"its effect on joint {link + 1} equals the effect of a drive parameter"),
         (True, "it has an effect only through its inertia about that axis"),
     )
     return f"{views[link].phrase}, so {next(reason for holds, reason in reasons if holds)}"
@@ -402,12 +402,12 @@ def _moved_to_parent(
         (
             axial[0] and summed[9],
             f"a mass on {axis} has the effect of one of {parent}; the other effects of the"
-            f" mass are those of {symbol}{number}",
+            f" mass equal the effects of {symbol}{number}",
         ),
         (
             axial[1] and summed[6:9].any(),
             f"a first moment along {axis} has the effect of one of {parent}; the other effects of"
-            f" the first moment are those of {symbol}{number}",
+            f" the first moment equal the effects of {symbol}{number}",
         ),
         (
             turns and axial[kind] and kind == 0,
@@ -426,7 +426,8 @@ def _moved_to_parent(
         ),
         (
             moved[10 * joint.parent : 10 * joint.parent + 10].any(),
-            f"{above}, so this parameter of link {number} is not separable from those of {parent}",
+            f"{above}, so this parameter of link {number} is not separable from"
+            f" the parameters of {parent}",
         ),
         (True, f"{above}, so this parameter of link {number} is not separable from its others"),
     )
@@ -483,7 +484,7 @@ def _of_drive(
         f" {'torque' if turns else 'force'}",
         "Ia": f"it has an effect on joint {number} alone, the inertia of link {number} also on the"
         f" motion of link {parent + 1}",
-        "": f"its torque at joint {number} differs from that of every other parameter",
+        "": f"its torque at joint {number} differs from the torque of every other parameter",
     }
     shared = {
         "Fo": f"joint {number} slides at a constant slope, so the weight it carries is constant,"
@@ -494,7 +495,7 @@ def _of_drive(
     }
     reasons = {
         "Fv": f"its torque is proportional to the velocity of joint {number} and dissipates power,"
-        " which that of no inertia does",
+        " which the torque of no inertia does",
         "Fc": "no other parameter has a torque proportional to the sign of the velocity of joint"
         f" {number}",
         **(alone if status == "identifiable" else shared),

@@ -92,7 +92,7 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
 
 
 def negligible_columns(model: RobotModel) -> list[int]:
-    """Return the columns of links that are said to have no inertia worth a parameter."""
+    """Return the columns of links that are declared to have no inertia worth a parameter."""
     return [10 * i + j for i, link in enumerate(model.links) if link.negligible for j in range(10)]
 
 

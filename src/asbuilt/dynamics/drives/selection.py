@@ -29,13 +29,13 @@ NAMED_SETS: Mapping[str, tuple[str, ...]] = {
         "quadratic_load_stribeck",
     ),
 }
-"""Friction models M1 to M6 of BAM, with the armature that BAM identifies beside them.
+"""Friction models M1 to M6 of BAM, with the armature that BAM identifies with them.
 
 Source: Duclusaud, Passault, Padois and Ly, Extended friction models for the physics simulation of
 servo actuators, arXiv 2410.08650, 2024.
 """
 STATED = ("velocity", "power")
-"""Options that a set hands on to those of its terms that have them."""
+"""Options that a set hands on to its terms that have them."""
 
 
 NONE = "none"
@@ -179,7 +179,7 @@ class DriveSet:
         return DriveSet(tuple(term.at(joint) for term in self.terms))
 
     def with_term(self, term: DriveTerm) -> DriveSet:
-        """Return the set with this term in place of the one of its key, or beside the others."""
+        """Return the set with this term in place of the one of its key, or in addition."""
         return DriveSet((*(other for other in self.terms if other.key != term.key), term))
 
     def without(self, *keys: str) -> DriveSet:

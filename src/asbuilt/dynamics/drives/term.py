@@ -38,9 +38,9 @@ class NonlinearParameter:
     fitted
         Whether it is fitted to a recording unless a value is stated.
     of_geometry
-        Whether only the design tells it, so that no recording shows a term without its value.
+        Whether only the design gives it, so that no recording shows a term without its value.
     typical
-        A value at which the columns differ clearly from those of other terms at speeds of some
+        A value at which the columns differ clearly from columns of other terms at speeds of some
         rad/s, for questions of structure; None where the value itself decides them.
     speed
         Whether it is a speed, so that `credible` are fractions of the joint's top speed.
@@ -131,7 +131,7 @@ class DriveTerm:
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write the columns of one joint into `out` (len(symbols), n_samples).
 
-        The inputs have shape (n_samples,), or all one other shape, such as that of several joints,
+        The inputs have shape (n_samples,), or all one other shape, such as one for several joints,
         which `out` then has after its first axis. `load` is the rigid-body torque [N m or N],
         required by terms that need it; a term `of_motor` takes the motion of the motor. Raises
         UsageError where a load is missing.

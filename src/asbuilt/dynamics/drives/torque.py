@@ -35,7 +35,7 @@ def drive_columns(
     Shape (columns_per_joint, N), from the state of all joints, each (N, n).
 
     Columns of terms `of_motor` enter the torque of every joint j multiplied by `shares[k, j]` (the
-    robot's `motor_shares`), all others that of joint k alone.
+    robot's `motor_shares`), all others the torque of joint k alone.
     """
     turned = None if shares is None or not shares[k].any() else shares[k]
     return drive.evaluate(
@@ -59,7 +59,7 @@ def drive_torque(
 ) -> Array:
     """Return `sum_k column_k(q, qd, qdd) value_k` of every joint [N m or N].
 
-    The shape is (N, n), as that of `q`, `qd`, `qdd`.
+    The shape is (N, n), like the shape of `q`, `qd`, `qdd`.
 
     `values` (n columns_per_joint,) holds the drive parameters joint by joint, in the order of
     `drive.names`; `load` (N, n) is the torque of the rigid bodies, for terms that depend on it;
@@ -111,7 +111,7 @@ def _alike(
 def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
     """Return the drive terms of which the description gives any value, and the values.
 
-    Nonlinear parameters are those of the description; values are joint by joint, zero where it has
+    Nonlinear parameters come from the description; values are joint by joint, zero where it has
     none.
 
     Raises
@@ -179,7 +179,7 @@ def _check_described(
 def usual_drive(model: RobotModel, source: str) -> DriveSet:
     """Return the usual drive terms of a robot for a torque of this source.
 
-    These are those that its description names (`usual_drive`), or the default terms and those of
+    Its description names them (`usual_drive`), or they are the default terms and the terms of
     coupled motors if the source measures motors; besides, the springs and balancers described.
     """
     drive = DriveSet.parse(model.usual_drive) if model.usual_drive else DriveSet.default(source)
@@ -194,7 +194,7 @@ def usual_drive(model: RobotModel, source: str) -> DriveSet:
 
 
 def on_driven_joints(model: RobotModel, drive: DriveSet) -> DriveSet:
-    """Return drive terms without those of a free base, whose joints have no drive.
+    """Return drive terms for the joints of a robot except a free base's, which have no drive.
 
     Raises `UsageError` for terms that contact forces, which are unknown, would enter.
     """

@@ -15,7 +15,7 @@ from asbuilt.compilation import kernel, part
 
 @part
 def _into(placement, w, v, out):
-    """Write the twist (w, v) of a frame as that of a frame at `placement` in it."""
+    """Write the twist (w, v) of a frame as the twist of a frame at `placement` in it."""
     x = v[0] + w[1] * placement[2, 3] - w[2] * placement[1, 3]
     y = v[1] + w[2] * placement[0, 3] - w[0] * placement[2, 3]
     z = v[2] + w[0] * placement[1, 3] - w[1] * placement[0, 3]
@@ -102,7 +102,7 @@ def momentum(parents, revolute, before, after, chi, q, qd, p, gradient):
 def lag(share, x, start, out):
     """Write `y_k = y_(k-1) + share_k (x_k - y_(k-1))` from `start`, for x (N, m), share (N,).
 
-    A negative share starts anew at zero.
+    A negative share starts again at zero.
     """
     samples, m = x.shape
     for j in range(m):

@@ -297,7 +297,7 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
 
 @part
 def move_screws(code, p, rows, read, write, angle, cosine, sine):
-    """Carry the screws of all joints above to the link's slot and add that of its own joint."""
+    """Carry the screws of all joints above to the link's slot and add its own joint's screw."""
     before, after, revolute, depth = code[BEFORE], code[AFTER], code[REVOLUTE], code[DEPTH]
     for d in range(depth + 1):
         o = (STATE + 6 * d) * BLOCK

@@ -4,7 +4,7 @@ Derivatives of any weighted sum of its entries with respect to positions, veloci
 accelerations.
 
 Forward, the recursion of `recursion` with every link's state kept; backward, the transpose of each
-step, leaves first. The cost is some three times that of the regressor, whatever the number of
+step, leaves first. The cost is some three times the regressor's, whatever the number of
 joints, for all derivatives at once.
 """
 
@@ -135,7 +135,7 @@ def _clear(rows, start, count):
 def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
     """Add the adjoints of `z . moment + m . force` of a link with ten rows of parameters.
 
-    They are those of its state and of one screw.
+    They belong to its state and to one screw.
     """
     for at in range(0, BLOCK, LANES):
         r = state + at

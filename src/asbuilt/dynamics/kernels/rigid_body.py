@@ -277,7 +277,7 @@ def _write_samples(tile, bounds, columns, block, count, out, width):
 
 @part
 def _gather_shares(shares, start, count, size, rows, row):
-    """Turn the shares of each sample, or those of all, into `size` rows of a block."""
+    """Turn the shares of each sample, or the shares common to all, into `size` rows of a block."""
     if shares.size > size:
         gather(shares, start, count, size, rows, row)
         return
@@ -378,9 +378,9 @@ def coupled_rows(
     """Write the regressor as `regressor` does for a tree.
 
     By virtual work `Y = G^T Y_tree`. The screw by which coordinate k moves a link is the sum of
-    those of the joints above it by the shares `G[j, k]`; the recursion carries these sums instead
-    of a screw per joint. Motion is that of the n joints; `shares` are G (n, m) in a row, or one
-    after the other those of all samples; `moves[i + 1, k]` says whether coordinate k moves link i,
+    the joint screws above it times the shares `G[j, k]`; the recursion carries these sums instead
+    of a screw per joint. Motion concerns the n joints; `shares` are G (n, m) in a row, or one
+    after the other for all samples; `moves[i + 1, k]` says whether coordinate k moves link i,
     and `moves[0]` that none moves the root; `chain` is not needed; `places[k, i, c]` is the row of
     coordinate k and parameter c of link i of the tree, or -1.
     """
@@ -442,7 +442,7 @@ def _wrench(rows, state, force, chi):
 
 @part
 def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
-    """Write the joint torque of a link's wrench and add the wrench to that of the parent link."""
+    """Write the joint torque of a link's wrench and add the wrench to the parent link's wrench."""
     for at in range(0, BLOCK, LANES):
         f = force + at
         fx, fy, fz = vector(rows, f)

@@ -50,7 +50,7 @@ def work_size(n: int) -> int:
 
 @part
 def _move(codes, i, p, o, q, c, s, v, dv, x):
-    """Return w, dw, a of a link from those of its parent, `x`."""
+    """Return w, dw, a of a link from its parent's, `x`."""
     wx, wy, wz, dx, dy, dz, ax, ay, az = x
     kind = codes[i + BEFORE]
     if kind != NOTHING:

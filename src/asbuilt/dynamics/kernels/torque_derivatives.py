@@ -152,7 +152,7 @@ def _rest(rows, gravity):
 
 @part
 def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
-    """Write the motion of a link from that of its parent."""
+    """Write the motion of a link from its parent's motion."""
     for at in range(0, BLOCK, LANES):
         u, r = above + at, own + at
         x, y, z = _moved(rows, u + POSE * BLOCK, splat(p[9]), splat(p[10]), splat(p[11]))

@@ -238,7 +238,7 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
                 found.append(Capsule.around(link, points @ whole[:3, :3].T + whole[:3, 3]))
     if not found:
         reason = (
-            f"its {len(missing)} meshes, such as {missing[0]}, are not beside it"
+            f"its {len(missing)} meshes, such as {missing[0]}, are not next to it"
             if missing
             else "it has none"
         )

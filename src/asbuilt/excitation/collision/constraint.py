@@ -296,7 +296,7 @@ def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
 class Clearance:
     """Smallest `distance` [m] between the bodies of `source` along a motion.
 
-    `obstacles` are those beside the robot, `left_out` pairs that always touch.
+    `obstacles` are bodies other than the robot's, `left_out` pairs that always touch.
     """
 
     source: str

@@ -154,11 +154,11 @@ def design_motion(
     options
         Configuration; its time limit covers bounds, search and refinement.
     base
-        Base parameters to determine; by default those of `options.drive`.
+        Base parameters to determine; by default with the drive terms `options.drive`.
     prior
         Information (p, p) about the base parameters from earlier recordings.
     constraints
-        Constraints besides those of the options.
+        Constraints in addition to the options'.
     with_bound
         Whether to bound the information of all motions, for `Design.d_efficiency`.
     cores

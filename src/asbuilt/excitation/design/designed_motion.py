@@ -119,7 +119,7 @@ class Design:
     | `size`, `size_name` | harmonics or points of the motion |
     | `mean_information` (p, p) | mean of `Y^T S^-1 Y` on a 1 kHz grid, exact drive columns |
     | `prior` (p, p) | information from earlier recordings |
-    | `bound`, `family_bound` | bounds over all states, and over those of a Fourier series |
+    | `bound`, `family_bound` | bounds over all states, and over states of a Fourier series |
     | `limits`, `assumed` | margins on the grid; limits that the description lacks |
     | `collision_distance` | smallest distance between bodies [m], None if unchecked |
     | `value`, `candidates` | criterion of the motion and of all local optima |
@@ -215,7 +215,7 @@ class Design:
     def torque_effects(self) -> Array:
         """`std_i rms(column_i) / rms(torque)` of every base parameter (p,).
 
-        Torques are those of the description in units of the noise; NaN if it gives no masses.
+        Torques follow from the description, in units of the noise; NaN if it gives no masses.
         Unlike a relative error it is defined for parameters near zero.
         """
         drive, values = described_drive(self.model)

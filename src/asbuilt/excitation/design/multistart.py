@@ -68,7 +68,7 @@ class SearchPool(Generic[Task, Result]):
         return future
 
     def close(self) -> None:
-        """Give the processes up: those of this machine are killed."""
+        """Give the processes up; local processes are killed."""
         self._lost = True
         self._workers.close()
 

@@ -62,7 +62,7 @@ def route_through(
     """Return all `poses` (K, n) in the order of a short route, its motion, and its turning poses.
 
     Segments are straight in joint space if the values of `obstacles` stay below 1, else they follow
-    the roadmap; without one, obstacles are not checked. The velocity is that of the bounds, or less
+    the roadmap; without one, obstacles are not checked. The velocity is at the bounds, or less
     on segments whose torque exceeds `loads`; `dwell` is the rest at each pose [s].
 
     Raises

@@ -121,7 +121,7 @@ def design_static_poses(
     drive
         Drive terms that act at rest, such as an offset.
     constraints
-        Constraints besides those of the options.
+        Constraints in addition to the options'.
     dwell
         Rest at each pose [s].
 
@@ -315,7 +315,7 @@ def _refined(
 def _unwound(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array:
     """Return poses with whole turns added, so that joints stay near the middle of their range.
 
-    The middle is opposite to angles at which there is no pose, else that of the position range.
+    The middle is opposite to angles at which there is no pose, else the centre of the range.
     """
     angles = np.sort(np.mod(pool, 2 * np.pi), axis=0)
     gaps = np.diff(np.vstack([angles, angles[:1] + 2 * np.pi]), axis=0)

@@ -48,7 +48,7 @@ class InformationEfficiency:
     every state of the motion: otherwise noise of the accelerations, or a wrong limit, would count
     as information beyond the bound. `d_efficiency` is `exp((log det M - log det M_bound) / p)`, 0
     if a parameter remains undetermined, never above 1. `by_parameter` (p,) is the variance of each
-    base parameter at the bound over that of the motion; it may exceed 1 for some. `beyond` (n,) is
+    base parameter at the bound over the motion's; it may exceed 1 for some. `beyond` (n,) is
     the largest factor by which each joint exceeds its limits, 1 within them.
     """
 
@@ -98,7 +98,7 @@ def information_efficiency(
 ) -> InformationEfficiency:
     """Return the information efficiency of recorded states, for equal noise in all joints.
 
-    Limits that the description lacks are those of `MotionBounds.assumed`; all are widened to the
+    Limits that the description lacks come from `MotionBounds.assumed`; all are widened to the
     states recorded. Long recordings are thinned evenly. Raises `UsageError` without samples.
     """
     # Most samples of a recording that are used; of longer ones every second, third, ...

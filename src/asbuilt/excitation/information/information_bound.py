@@ -50,7 +50,7 @@ SEARCH = BoundSearch()
 class InformationBound:
     """Bound on the information per sample; no motion reaches it.
 
-    `log_det` is that of the best distribution over states found, `upper` exceeds that of every
+    `log_det` belongs to the best distribution over states found, `upper` exceeds the value of every
     distribution.
 
     By the equivalence theorem of Kiefer and Wolfowitz (1960), `log det M* <= log det M + p

@@ -58,7 +58,7 @@ class SampledMotion(QuinticMotion):
 def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -> SampledMotion:
     """Read a motion from CSV; with a `model`, joints are put into its order by name or number.
 
-    Velocities and accelerations may be missing; they are then those of the natural quintic spline
+    Velocities and accelerations may be missing; they then come from the natural quintic spline
     through the positions.
 
     Raises

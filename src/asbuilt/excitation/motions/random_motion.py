@@ -34,7 +34,7 @@ def random_fourier(
     It is scaled until each joint reaches its position, velocity or acceleration limit.
 
     Coefficients are normal, alike for all harmonics; each joint's mean position is drawn where its
-    amplitude allows. Limits that the description does not give are those of
+    amplitude allows. Limits that the description does not give come from
     `MotionBounds.assumed`. Where a torque limit is exceeded all amplitudes shrink.
 
     Raises
@@ -89,8 +89,8 @@ def random_point_to_point(
 
     It uses `fraction` of them.
 
-    Poses are uniform within the position limits; limits that the description does not give are
-    those of `MotionBounds.assumed`. Where a torque limit is exceeded the acceleration shrinks.
+    Poses are uniform within the position limits; limits that the description does not give come
+    from `MotionBounds.assumed`. Where a torque limit is exceeded the acceleration shrinks.
     Raises MotionError as `random_fourier` does.
     """
     if n_poses < 2:

@@ -157,7 +157,7 @@ class SplineMotion(PiecewisePolynomial):
 def _time_factors(motion: PiecewisePolynomial, limits: list[Array]) -> Array:
     """Return the factor of time that each limit needs in each piece and joint, flat.
 
-    Limits are those of velocity, acceleration and jerk.
+    The `limits` bound velocity, acceleration and jerk.
     """
     needed = []
     for order, limit in enumerate(limits, start=1):

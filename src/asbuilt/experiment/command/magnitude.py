@@ -20,7 +20,7 @@ KINDS: tuple[Kind, ...] = ("motor", "supply")
 
 @dataclass(frozen=True, slots=True)
 class MagnitudeRules:
-    """Say how a law is sought, and when it counts: own choices.
+    """Say how a law is estimated, and when it counts: own choices.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _explained(laws: Sequence[MagnitudeLaw | None]) -> float:
 
 
 def logged_magnitude_laws(recordings: Sequence[Recording]) -> tuple[MagnitudeLaw | None, ...]:
-    """Return the laws of magnitudes that were logged beside the commands; empty if none were."""
+    """Return the laws of magnitudes that were logged with the commands; empty if none were."""
     logged = [
         (each, each.extra[LOGGED])
         for each in recordings
@@ -166,7 +166,7 @@ def signed_by_command(recording: Recording, unused: Collection[str] = ()) -> Rec
     ------
     RecordingError
         If there is no command, a torque is negative, or the command does not explain the magnitude
-        of a joint as that of a motor's current, so that its sign or its proportion to the torque is
+        of a joint as the current of a motor, so that its sign or its proportion to the torque is
         unknown.
     """
     if recording.command is None:

@@ -19,7 +19,7 @@ FEWEST = 4
 TICK = 1e-3
 """Period [s] in which a servo, as simulated, compares its control error with the one before."""
 DROOP = 1.0 / 24.0
-"""Outer weight of the filter `[w, 1 - 2 w, w]` whose response is that of a held sample,
+"""Outer weight of the filter `[w, 1 - 2 w, w]` whose response equals a held sample's,
 `sinc(f T)`, to the fourth order in the frequency f."""
 
 
@@ -178,7 +178,7 @@ def _of_goal(fine: Array, goal: Array, t: Array, delay: float, derivative: int) 
 
 
 LOGGED = "tau_logged"
-"""Extra quantity of a recording whose torque is that of its command: the torque that was logged."""
+"""Extra quantity of a recording whose torque comes from its command: the torque that was logged."""
 
 
 def driven_by_command(recording: Recording, servo: PositionServo) -> Recording:

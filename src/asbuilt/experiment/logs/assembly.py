@@ -146,7 +146,7 @@ def build_recording(
 ) -> Recording:
     """Put the columns of a table in joint order and SI units, and make the clock.
 
-    Times are those of the time column, or follow from `rate` [Hz] and the index `first_sample` of
+    Times come from the time column, or follow from `rate` [Hz] and the index `first_sample` of
     the first row. Times after 1e6 s (a calendar's) count from `origin`, by default the first.
 
     Raises
@@ -250,7 +250,7 @@ def _refuse_idle_servo(recording: Recording, options: ReadingOptions) -> None:
         problem = "has no commanded positions"
         cure = Cure('name their columns in a recording sheet: [columns] command = ["..."]')
     else:
-        problem = f"has torques beside its commands (source: {recording.torque_source})"
+        problem = f"has torques in addition to its commands (source: {recording.torque_source})"
         cure = Cure("use its commands in their place", settings={"torque_source": "command"})
     raise RecordingError(
         f"{recording.source} {problem}, so that {', '.join(given)} of a servo would have no effect",

@@ -139,7 +139,7 @@ class RecordingStream:
     chunk_samples
         Samples per chunk.
     joints
-        Joints to keep, in order; None: those of the robot.
+        Joints to keep, in order; None: the robot's.
     servo
         The position servo whose torque each chunk gets; None: as stated.
 

@@ -54,7 +54,7 @@ class ReadingOptions:
         What measured the torque; replaces the sheet's.
     sheet
         Recording sheet that describes the log: a path, a `RecordingSheet`, or a dict with the
-        fields of one; by default the one beside the log.
+        fields of one; by default the one next to the log.
     lock
         Joints that are not identified, with their positions [rad or m], None where unknown; a text
         `JOINT[=VALUE],...` does too. Added to the sheet's. `fitted_recordings` locks them.
@@ -68,7 +68,7 @@ class ReadingOptions:
         Largest torque of the position servo [N m], one for all joints or one each; NaN: none.
     deadband
         Control error up to which the position servo gives no torque [rad], one for all joints or
-        one each; NaN: unknown, so that it is sought in the log.
+        one each; NaN: unknown, so that it is estimated from the log.
     lead
         Gain of the derivative of the position servo's control error over its stiffness [s], one for
         all joints or one each; NaN: it has none.
@@ -78,7 +78,7 @@ class ReadingOptions:
     goal_acceleration, goal_speed
         Limits of the goal that the position servo derives from its command [rad/s^2, rad/s], one
         for all joints or one each; infinite: none, NaN: unknown, so that a limit of the
-        acceleration is sought in the log, and none of the speed.
+        acceleration is estimated from the log, and none of the speed.
     fixed_base
         Whether a free joint of the robot is held at its pose. `load_robot` holds it.
     free_base, contacts
@@ -182,8 +182,8 @@ class ReadingOptions:
     deadband: ArrayLike | None = field(
         default=None,
         metadata={
-            "help": "control error without torque [rad], one or each; auto (default): sought in the"
-            " log",
+            "help": "control error without torque [rad], one or each; auto (default): estimated"
+            " from the log",
             "metavar": "E1,E2,...",
             "parse": servo_numbers,
         },
@@ -210,7 +210,7 @@ class ReadingOptions:
         default=None,
         metadata={
             "help": "limit of the acceleration of the servo's goal [rad/s^2], one or each; none;"
-            " auto (default): sought in the log",
+            " auto (default): estimated from the log",
             "metavar": "A1,A2,...",
             "parse": servo_numbers,
         },

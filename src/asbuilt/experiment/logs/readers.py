@@ -124,7 +124,7 @@ def check_readable(path: Path) -> None:
 def find_sheet(
     log: Path, sheet: PathLike | RecordingSheet | Mapping[str, Any] | None
 ) -> tuple[RecordingSheet, tuple[str, ...]]:
-    """Return the sheet that is given, is the log itself, or lies beside it; else an empty one."""
+    """Return the sheet that is given, is the log itself, or lies next to it; else an empty one."""
     if sheet is None:
         sheet = log if log.suffix == ".toml" else sheet_beside(log)
     return _given_sheet(sheet)
@@ -216,7 +216,7 @@ def _read_table(path: Path, sheet: RecordingSheet) -> LogTable:
 
 
 def read_table(paths: list[Path], sheet: RecordingSheet) -> LogTable:
-    """Return the columns of a log, of the files of one quantity each, or of those of the sheet.
+    """Return the columns of a log, of the files of one quantity each, or of the sheet's files.
 
     Raises `RecordingError` if they are no recording, or several.
     """
@@ -256,11 +256,11 @@ def _refuse_lone_role_file(path: Path, table: LogTable) -> None:
         for p in sorted(path.parent.glob(f"*{path.suffix}"))
         if p != path and quantity_of_file(p.stem)[1] == rest and quantity_of_file(p.stem)[0]
     ]
-    beside = f" ({', '.join(others)} lie beside it)" if others else ""
+    nearby = f" ({', '.join(others)} lie next to it)" if others else ""
     raise RecordingError(
         f"{path} holds the {quantity} only",
         cure=Cure(
-            f"give the files of all quantities together{beside}, or list them under [files] in a"
+            f"give the files of all quantities together{nearby}, or list them under [files] in a"
             " recording sheet"
         ),
         file=str(path),
@@ -289,7 +289,7 @@ def _unnamed_columns(
     return RecordingError(
         f"{table.source} has {count} columns without a header row",
         cure=Cure(
-            f"name them in a recording sheet {Path(table.source).stem}.toml beside it; from the"
+            f"name them in a recording sheet {Path(table.source).stem}.toml next to it; from the"
             " values it may read as follows (column numbers from 1; check it, and add gains = [...]"
             " and torque_source if the torques are currents):\n\n"
             f"{suggested_sheet(table, model, rate)}\n"

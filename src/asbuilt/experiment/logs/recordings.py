@@ -98,8 +98,8 @@ def fitted_recordings(
 
     Joints that a recording lacks are locked, at 0 or in the middle of their limits; `lock` of the
     options and sheets gives others, and positions; one that is logged is locked at its median
-    position. `gravity` of the options replaces that of the robot. Feet whose radius is not stated
-    have that on which they roll.
+    position. `gravity` of the options replaces the robot's. Feet whose radius is not stated
+    get the radius on which they roll.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def _named_ones(
 
 
 def _joints_of(item: Recorded, model: RobotModel) -> tuple[str, ...]:
-    """Return the joints that a recording has; those of the robot, where names say nothing."""
+    """Return the joints that a recording has; the robot's, where its names match none."""
     names = item.head.joint_names if isinstance(item, RecordingStream) else item.joint_names
     return names if set(names) & set(model.joint_names) else model.joint_names
 

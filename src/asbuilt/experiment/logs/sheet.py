@@ -1,4 +1,4 @@
-"""Recording sheets: description of a log in TOML, written beside it."""
+"""Recording sheets: description of a log in TOML, written next to it."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ class SheetUnits(_Part):
 
 
 class SheetRange(_Part):
-    """Positions [rad or m] of a joint at two numbers of the log, such as those of 0 and 100."""
+    """Positions [rad or m] of a joint at two numbers of the log, such as 0 and 100."""
 
     logged: tuple[FiniteNumber, FiniteNumber]
     position: tuple[FiniteNumber, FiniteNumber]
@@ -230,7 +230,7 @@ class RecordingSheet(_Part):
     """Describe a log: every field is optional and overrides what the column names give.
 
     `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's;
-    "command" where it gives magnitudes, whose sign is that of the servo's control error),
+    "command" where it gives magnitudes, with the sign of the servo's control error),
     `gains` turn them into N m (amperes times N m/A); `position_sign` multiplies positions,
     velocities, accelerations and commands (-1 where the log's joint turns the other way than the
     description's); each is one number or one per joint. `zero`
@@ -238,10 +238,10 @@ class RecordingSheet(_Part):
     `time_factor` multiplies the log's times, where its clock is wrong. `lock`
     names joints that are not identified, with their positions [rad or m] if these are known.
     `joints` lists the joints in the order of the columns, or gives the robot's name of each joint
-    of the log. `kp`, `kd` and the limits are those of the position servo, "auto" if unknown; of
-    the acceleration and the speed of its goal also "none". `joint_units` are those of single
+    of the log. `kp`, `kd` and the limits describe the position servo, "auto" if unknown; of
+    the acceleration and the speed of its goal also "none". `joint_units` are for single
     joints, in place of `units`: a unit, or the positions at two numbers of the log. `topic` and
-    `command_topic` are those of the joint states and of the commanded ones in a bag, and
+    `command_topic` hold the joint states and the commanded ones in a bag, and
     `command_joints` the joints of commands that are numbers alone, in their order. `date` is when
     the recording began, in UTC unless it names a time zone.
 
@@ -328,7 +328,7 @@ def read_sheet(path: str | Path) -> RecordingSheet:
 
 
 def sheet_beside(log: Path) -> Path | None:
-    """Return the sheet beside a log: `run.csv.toml` or `run.toml`; None if there is none."""
+    """Return the sheet next to a log: `run.csv.toml` or `run.toml`; None if there is none."""
     if not log.name:
         return None
     for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):

@@ -243,7 +243,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     Raises
     ------
     RecordingError
-        If the recording's joints are not those of the model.
+        If the recording's joints are not the model's.
 
     Examples
     --------
@@ -298,9 +298,9 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
 
 
 def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingCheck:
-    """Check the joints as those of a robot that is held, then base and contacts.
+    """Check the joints as if the base were held, then base and contacts.
 
-    What compares torques with those of the model is left out, since contacts push it.
+    Checks that compare torques with the model's are left out, since contacts push the robot.
     """
     held = check_recording(model.standing, of_joints_alone(model, recording))
     clock = any(f.severity == "error" and f.code.startswith("clock_") for f in held.findings)

@@ -14,7 +14,7 @@ from asbuilt.findings import Cure, Finding, joined
 
 @dataclass(frozen=True, slots=True)
 class ClockThresholds:
-    """Thresholds of the clock checks; the rates are those of controllers on the market."""
+    """Thresholds of the clock checks; controllers on the market have such rates."""
 
     irregular: float = 0.05
     """Standard deviation of the steps, in steps, from which a clock is uneven."""
@@ -130,7 +130,7 @@ def _not_finite(recording: FirstPass) -> Iterator[Finding]:
 
 
 def _wrong_unit(step: float) -> Iterator[Finding]:
-    """Find a clock whose rate is that of no controller."""
+    """Find a clock with a rate that no controller has."""
     rate = 1.0 / step
     if rate > THRESHOLDS.fastest:
         yield Finding(

@@ -31,12 +31,12 @@ class CommandThresholds:
     Parameters
     ----------
     angle, length
-        Range of positions [rad, m] from which a joint is judged.
+        Range of positions [rad, m] from which a joint is tested.
     held
-        Range of positions [rad], times that of `angle`, beyond which a constant command is none:
+        Range of positions [rad], times `angle`, beyond which a constant command is none:
         a soft servo gives way by less.
     constant
-        Range of a command, as a share of that of the positions, up to which it is constant.
+        Range of a command, as a share of the range of the positions, up to which it is constant.
     followed, lost
         Correlations from which a position follows a command, and up to which it does not.
     ahead, shifted
@@ -74,7 +74,7 @@ THRESHOLDS = CommandThresholds()
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """Positions and commands at a uniform rate, and the joints that are judged.
+    """Positions and commands at a uniform rate, and the joints that are tested.
 
     `r[l, i, j]` is the correlation of the position of joint i with the command of joint j `lags[l]`
     seconds earlier, over the samples that all lags share.
@@ -199,11 +199,11 @@ def _constant(motion: _Motion) -> Iterator[Finding]:
     )
 
 
-def _units(motion: _Motion, judged: list[int]) -> Iterator[Finding]:
+def _units(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands that vary many times as much, or as little, as positions that follow them."""
-    judged = [j for j in judged if abs(motion.r[:, j, j]).max() > THRESHOLDS.followed]
+    tested = [j for j in tested if abs(motion.r[:, j, j]).max() > THRESHOLDS.followed]
     ratios = np.ptp(motion.u, axis=0) / np.maximum(np.ptp(motion.q, axis=0), 1e-12)
-    wrong = [j for j in judged if not 1 / THRESHOLDS.factor < ratios[j] < THRESHOLDS.factor]
+    wrong = [j for j in tested if not 1 / THRESHOLDS.factor < ratios[j] < THRESHOLDS.factor]
     if not wrong:
         return
     ratio = float(np.median(ratios[wrong]))
@@ -217,7 +217,7 @@ def _units(motion: _Motion, judged: list[int]) -> Iterator[Finding]:
     looks = f", as if {quantity}s were in {unit}" if near else ""
     names = [motion.names[j] for j in wrong]
     cure = f"convert the {quantity}s to radians or metres"
-    if unit in SHEET_UNITS and len(wrong) == len(judged):
+    if unit in SHEET_UNITS and len(wrong) == len(tested):
         cure = f'write the unit in a recording sheet: units = {{ {quantity} = "{unit}" }}'
     yield Finding(
         "command_units",
@@ -229,7 +229,7 @@ def _units(motion: _Motion, judged: list[int]) -> Iterator[Finding]:
 
 
 def _swapped(motion: _Motion) -> dict[int, int]:
-    """Return joints that follow each other's commands, not their own, with those of the commands.
+    """Return joints that follow each other's commands, not their own, with the commands' joints.
 
     A joint that follows a command of one that follows its own as well moves in step with that.
     """
@@ -261,10 +261,10 @@ def _swapped_finding(motion: _Motion, pairs: Mapping[int, int]) -> Finding:
     )
 
 
-def _flipped(motion: _Motion, judged: list[int]) -> Iterator[Finding]:
+def _flipped(motion: _Motion, tested: list[int]) -> Iterator[Finding]:
     """Find commands whose positions go the other way."""
     inside = (motion.lags >= 0.0) & (motion.lags <= THRESHOLDS.longest)
-    for j in judged:
+    for j in tested:
         own = motion.r[inside, j, j]
         if own.max() < THRESHOLDS.lost and own.min() < -THRESHOLDS.followed:
             name = motion.names[j]

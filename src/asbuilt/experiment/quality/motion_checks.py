@@ -26,7 +26,7 @@ class DegreeThresholds:
     """Decide whether positions are degrees: as radians they are far outside limits, as degrees not.
 
     `position` and `some` are multiples of the position limits that one joint and a third of the
-    joints exceed, `speed` and `median_speed` those of the velocity limits.
+    joints exceed, `speed` and `median_speed` multiples of the velocity limits.
     """
 
     position: float = 2.0
@@ -268,7 +268,7 @@ def _still(model: RobotModel, recording: FirstPass, scale: float) -> Iterator[Fi
         yield Finding(
             "nothing_moves",
             "error",
-            f"no joint moves: the largest position range is {span:.3g} {unit}, that of {name}",
+            f"no joint moves: the largest position range is {span:.3g} {unit}, the range of {name}",
             Cure(
                 "record the robot in motion, and check that the position columns are the measured"
                 " ones",
@@ -318,7 +318,7 @@ def excitation_findings(
 ) -> Iterator[Finding]:
     """Find recordings with too few samples, rank deficiency, or a large scaled condition number.
 
-    The observation matrix is that of the base parameters with viscous, Coulomb and offset terms,
+    The observation matrix belongs to the base parameters with viscous, Coulomb and offset terms,
     its columns scaled to unit length.
     """
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))

@@ -105,7 +105,7 @@ def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
     Raises
     ------
     RecordingError
-        If there is no chunk, or the joints are not those of the model.
+        If there is no chunk, or the joints are not the model's.
     """
     n = model.n_joints
     lower, upper = position_limits(model)
@@ -168,7 +168,7 @@ def as_modelled(model: RobotModel, recording: Recording) -> Recording:
     Raises
     ------
     RecordingError
-        If the joints are not those of the model.
+        If the joints are not the model's.
     """
     if recording.n_joints != model.n_joints:
         raise RecordingError(
@@ -313,7 +313,7 @@ def second_pass(
 ) -> SecondPass:
     """Read the chunks again for segments of consecutive `rows` and for torques at their extremes.
 
-    The torques for spectra are all of those of one chunk, else those of the segments.
+    The torques for spectra are all torques of one chunk, else the torques of the segments.
     """
     plateaus = [_plateaus(known, k) for k in range(known.n_joints)]
     parts: list[list[Recording]] = [[] for _ in rows]

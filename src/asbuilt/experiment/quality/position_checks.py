@@ -75,8 +75,8 @@ def position_findings(model: RobotModel, noise: PositionNoise | None) -> Iterato
             "band_limited_by_noise",
             "warning" if steps[worst] and cuts_motion else "info",
             f"Noise of the positions, not the motion, limits the low-pass to {band.cutoff:.2g} Hz,"
-            f" most of all that of {model.joint_names[worst]}{by_steps}; faster parts of the motion"
-            " determine nothing",
+            f" most of all the noise of {model.joint_names[worst]}{by_steps}; faster parts of the"
+            " motion determine nothing",
             CURE,
         )
     for k, text in enumerate(steps):
@@ -152,19 +152,19 @@ def closure_findings(model: RobotModel, recording: Recording) -> Iterator[Findin
     nearest = int(np.argmin(np.where(at.closed, at.distance, np.inf)))
     near = at.distance[nearest] < THRESHOLDS.singular
     where = [f"{model.joint_names[j]} at {recording.q[rows[nearest], j]:.4g}" for j in moving]
-    said = (
+    text = (
         f"the loops are nearest to a singular posture at {recording.t[rows[nearest]]:.3f} s, with"
         f" {joined(where, len(where))}: smallest singular value {at.distance[nearest]:.2g} of the"
         " largest"
     )
     joint, time = model.joint_names[moving[0]], float(recording.t[rows[nearest]])
     if not near:
-        yield Finding("distance_to_singularity", "info", said, joint=joint, time=time)
+        yield Finding("distance_to_singularity", "info", text, joint=joint, time=time)
         return
     yield Finding(
         "near_singular_posture",
         "warning",
-        f"{said}; there small errors of positions make large ones of passive joints and torques",
+        f"{text}; there small errors of positions make large ones of passive joints and torques",
         Cure("keep away from it, or cut these samples out"),
         joint=joint,
         time=time,
@@ -242,7 +242,7 @@ def encoder_lag(t: Array, own: Array, other: Array) -> EncoderLag | None:
     """Return the lag of `other` (N,) behind `own` (N,); None if one of them does not move.
 
     To first order `other(t) = s own(t - lag) + c = s own - s lag d(own)/dt + c`: zero positions and
-    directions of the encoders may differ. The error is that of the jackknife over blocks of time
+    directions of the encoders may differ. The error comes from the jackknife over blocks of time
     (Miller, Biometrika 61, 1974).
     """
     if not (np.ptp(own) > 0.0 and np.ptp(other) > 0.0):

@@ -23,11 +23,11 @@ class VelocityThresholds:
     swapped: float = 0.9
     """Least correlation with another joint's derivative of a swapped column."""
     own: float = 0.8
-    """Largest correlation of a swapped column with its own; negated, that of a flipped sign."""
+    """Largest correlation of a swapped column with its own; negated, of a flipped sign."""
     unit: float = 0.2
-    """Relative deviation of the gain from that of a unit."""
+    """Relative deviation of the gain from the gain of a unit."""
     gain: tuple[float, float] = (0.7, 1.4)
-    """Range of the gain of a usable velocity, the lower also that of its correlation."""
+    """Range of the gain of a usable velocity; the lower end also bounds its correlation."""
     same: tuple[float, float, float] = (0.15, 0.05, 0.95)
     """Of a wrong rate: least deviation of the common gain from 1, largest of the gains from it,
     and least correlation of each joint."""
@@ -72,7 +72,7 @@ def velocity_findings(
         if a != b and correlation[a, b] > THRESHOLDS.swapped and correlation[a, a] < THRESHOLDS.own
     ]
     if swapped:
-        pairs = joined([f"the velocity of {names[a]} is that of {names[b]}" for a, b in swapped])
+        pairs = joined([f"the velocity of {names[a]} belongs to {names[b]}" for a, b in swapped])
         yield Finding(
             "velocity_swapped",
             "error",
@@ -133,9 +133,9 @@ def velocity_findings(
 
 
 def _right_rate(recording: FirstPass, correlation: Array, gain: Array) -> float | None:
-    """Return the rate [Hz] that makes the velocities those of the positions, if one factor does.
+    """Return the rate [Hz] at which velocities are derivatives of positions, if there is one.
 
-    Units of velocity other than those of the positions are no reason to doubt the rate.
+    Units of velocity other than the units of the positions are no reason to doubt the rate.
     """
     off, apart, least = THRESHOLDS.same
     common = float(np.median(gain))

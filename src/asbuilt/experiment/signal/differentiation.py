@@ -37,7 +37,7 @@ def savitzky_golay(
 ) -> tuple[Array, Array, Array]:
     """Return value, first and second derivative of the columns of x by a moving polynomial.
 
-    The window is that of `savitzky_golay_window`. Exact on polynomials up to the degree, also at
+    `savitzky_golay_window` gives the window. Exact on polynomials up to the degree, also at
     the ends (Savitzky and Golay, Analytical Chemistry, 1964).
     """
     values = np.asarray(x, dtype=np.float64)

@@ -192,7 +192,7 @@ class FilterPlan:
     ) -> tuple[list[SegmentArrays], int]:
         """Return what is left of a segment between logged samples, and where a longer one goes on.
 
-        `motion` is that of the segment, whose torque is shifted back by the delay. The samples are
+        `motion` belongs to the segment, whose torque is shifted back by the delay. The samples are
         those from `low` to before `stop` whose torque was logged. Continued from the index
         returned, the filtered samples of the whole segment appear once each.
         """

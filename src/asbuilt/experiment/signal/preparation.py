@@ -87,7 +87,7 @@ def stream_samples(
 ) -> Iterator[Samples]:
     """Prepare a recording that comes in consecutive chunks.
 
-    One chunk and its overlap are held at a time. Together the filtered samples are those of
+    One chunk and its overlap are held at a time. Together the filtered samples equal the samples of
     `prepare_samples` on the whole, each once; what the chain leaves open is chosen from the first
     chunk.
 

@@ -210,7 +210,7 @@ def settle_chain(
 ) -> tuple[SignalChain, tuple[str, ...], float]:
     """Return the chain with its choices made, sentences about them, and a bound of the clock.
 
-    The bound is that of `Samples.clock_bound`.
+    The bound is `Samples.clock_bound`.
     """
     notes, clock_bound = list[str](), np.inf
     if rate < SLOWEST_RATE:

@@ -125,7 +125,7 @@ def uniform_segments(
 ) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
     """Return the segments of a recording on a uniform clock, their rate [Hz], and notes.
 
-    They are those of `uniform_grid`, with the same parameters.
+    They come from `uniform_grid`, with the same parameters.
     """
     grid = uniform_grid(recording, rate, max_gap, resolved)
     return grid.uniform(), grid.rate, grid.notes
@@ -149,7 +149,7 @@ def uniform_grid(
     Raises
     ------
     RecordingError
-        If nothing is left, or `rate` is far above that of the log.
+        If nothing is left, or `rate` is far above the rate of the log.
     """
     n = recording.n_samples
     kept = np.isfinite(recording.t)
@@ -186,7 +186,7 @@ def uniform_grid(
     logged_rate = _logged_rate(t, period)
     if rate is not None and rate > 1.05 * logged_rate:
         raise RecordingError(
-            f"{recording.source}: a rate of {rate:g} Hz is above that of the log,"
+            f"{recording.source}: a rate of {rate:g} Hz is above the rate of the log,"
             f" {logged_rate:g} Hz",
             cure=Cure("give a lower rate, or none"),
             file=recording.source,

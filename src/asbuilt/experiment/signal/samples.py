@@ -47,14 +47,14 @@ class Samples:
     tau_raw
         Torque as logged, unfiltered, (N, n), by default `tau`.
     origin
-        Time [s] at which the recording began before trimming, by default that of the first sample;
+        Time [s] at which the recording began before trimming, by default at the first sample;
         time blocks count from it.
     provenance
         Sentences about what was done.
     delay
         Delays [s] by which the torque was shifted back, one for all joints or each; empty: none.
     delay_errors
-        Standard errors [s] of delays that were estimated, which those of a fit allow for.
+        Standard errors [s] of delays that were estimated, which the errors of a fit allow for.
     clock_bound
         Largest error of the clock, as a share, that logged velocities admit; infinite without them.
     slowest
@@ -65,7 +65,7 @@ class Samples:
         be, so that forces act there which nobody measured; None: it touches nothing.
     noise
         Noise of the equation of each joint in units of a common one, by which its rows are divided
-        before forces at contacts are projected away; empty: that of all is the same.
+        before forces at contacts are projected away; empty: the same for all.
     encoder, encoder_at
         Position, velocity and acceleration by a second encoder of each joint, (3, N, n), and its
         side of the drive train, "motor" or "link"; None: joints have one encoder.

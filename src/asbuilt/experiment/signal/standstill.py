@@ -12,8 +12,8 @@ from asbuilt.compilation import kernel
 SLOWEST = 0.0015
 """Share of the fastest joint's top speed below which any joint may be at rest, but for `MOVING`."""
 MOVING = 0.006
-"""Share of its own top speed beyond which a joint moves, however slow beside others: a finger in
-m/s beside joints in rad/s."""
+"""Share of its own top speed beyond which a joint moves, however slow compared with others: a
+finger in m/s among joints in rad/s."""
 PAUSE = 0.5
 """Least duration [s] of a rest; a reversal is shorter."""
 

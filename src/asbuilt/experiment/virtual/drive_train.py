@@ -211,7 +211,7 @@ class JointServo:
     """Describe a servo, `tau = clip(kp (command(t - delay) - q) - kd qd, -limit, limit)`.
 
     The command is held between two samples of the log, the torque between two ticks of `rate`. The
-    limit is that of the joint.
+    limit is the joint's.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ class JointServo:
     def target(self, command: Trajectory, rate: float) -> Trajectory:
         """Return the command at the ticks as it arrives: held, delayed, without its velocity.
 
-        `rate` is that of the samples [Hz], of which the ticks are a multiple.
+        `rate` is the rate of the samples [Hz], of which the ticks are a multiple.
         """
         every = round(1.0 / rate / (command.t[1] - command.t[0]))
         # Share of a period by which the time of a tick may be off by rounding.

@@ -257,8 +257,8 @@ def _factory(model: RobotModel, rng: np.random.Generator) -> Parts:
 def _servo(model: RobotModel, rng: np.random.Generator) -> Parts:
     """Return a robot of position servos.
 
-    Where the description states no gains, those of a bandwidth of 4 Hz with half the damping of a
-    critically damped joint; where it states no drive value, that of `_drive_train`.
+    Where the description states no gains, they give a bandwidth of 4 Hz with half the damping of a
+    critically damped joint; where it states no drive value, it comes from `_drive_train`.
     """
     n = model.n_joints
     _, inertia = torque_and_inertia(model, rng)

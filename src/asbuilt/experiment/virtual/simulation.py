@@ -141,7 +141,7 @@ class FreeMotion:
     def imbalance(self) -> float:
         """Largest error of the energy balance, relative to the energy turned over.
 
-        The motion is MuJoCo's, the energies are those of asbuilt's equations, so this compares
+        The motion is MuJoCo's, the energies follow asbuilt's equations, so this compares
         the two and the integrator.
         """
         missing = self.total - self.total[0] - self.work + self.dissipated

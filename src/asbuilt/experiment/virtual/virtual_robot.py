@@ -188,7 +188,7 @@ class VirtualRobot:
         A gripper of 3 % of the moving mass at the last link, a base tilt of about 0.3 degrees, mass
         distributions 3 % off, armature (about 15 % of the mean joint inertia), viscous, Coulomb and
         offset friction (1.5, 2 and 0.5 % of the torque range, the viscous one at the velocity
-        limit) beside the further drive terms of the description; 2^16 encoder counts per turn or
+        limit) and the further drive terms of the description; 2^16 encoder counts per turn or
         10^5 per metre, torque noise 0.1 %, bias 0.1 % and resolution 0.01 % of the torque range.
         Everything is drawn from `rng`.
         """

@@ -1,1 +1,1 @@
-"""Drive terms, those of one kind in a module; the registry finds them all."""
+"""Drive terms, one kind per module; the registry finds them all."""

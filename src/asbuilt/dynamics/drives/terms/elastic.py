@@ -29,7 +29,7 @@ GEOMETRY = (
 )
 """Where the ends are about the joint axis, and the free length."""
 ELSEWHERE = (0.02, 0.15, 1.0, 0.1, 0.0)
-"""Another place than that of springs, since two terms of one geometry have common parts."""
+"""A place other than the springs', since two terms of one geometry have common parts."""
 
 
 @drive_term
@@ -89,7 +89,7 @@ ORDER = NonlinearParameter("order", float(HIGHEST), 1.0, float(HIGHEST), "", fit
 class Cable(DriveTerm):
     """Add `sum_k Cq_k (q / pi)^k` up to the `order`, 7 unless stated; the offset is its constant.
 
-    Lower orders extrapolate better: choose the least whose held-out error is that of the best.
+    Lower orders extrapolate better: choose the least whose held-out error is as low as the best.
     """
 
     order: NonlinearValue = None
@@ -104,7 +104,7 @@ class Cable(DriveTerm):
     ratio_powers = tuple(1.0 + k for k in range(1, HIGHEST + 1))
 
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return the powers of q, none above the order; the first is that of a spring.
+        """Return the powers of q, none above the order; the first is the term of a spring.
 
         Nothing else has the powers of the far side of a drive.
         """
@@ -150,7 +150,7 @@ class Cylinder(ExtensionSpring):
 
     Its force is Pc [N] where its length l is `length`, and grows by the share `rate` [1/m] as it is
     pushed in: gas springs and accumulators to first order in the stroke. The ends are placed as
-    those of an `extension_spring`.
+    in an `extension_spring`.
     """
 
     rate: NonlinearValue = None

@@ -238,7 +238,7 @@ class Quadratic(DriveTerm):
 
 @drive_term
 class Cubic(DriveTerm):
-    """Add `Fk qd^3`; negative beside viscous friction that levels off at high speed."""
+    """Add `Fk qd^3`; negative with viscous friction that levels off at high speed."""
 
     key = "cubic"
     title = "cubic friction"

@@ -94,7 +94,7 @@ def _refuse_open(table: LogTable, layout: Layout, k: int, held: Mapping[str, flo
     first, last = float(np.nanmin(values)), float(np.nanmax(values))
     raise RecordingError(
         f"{table.source}: the unit of {joint}, which runs from {first:.3g} to {last:.3g}, is not"
-        " known: grippers are mostly logged as shares of their range, 0 to 100 or 0 to 1, beside"
+        " known: grippers are mostly logged as shares of their range, 0 to 100 or 0 to 1, next to"
         " angles of other joints",
         cure=Cure(
             "write its positions [rad or m] at the ends of the scale in a recording sheet:"

@@ -81,7 +81,7 @@ def find_layout(
     """Find the columns of each quantity from the sheet, what the format knows, and the usual names.
 
     The numbers of a sheet count the columns in `order`, by default `names`. `has_gains` says that
-    gains are given beside the sheet's.
+    gains are given in addition to the sheet's.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def find_layout(
         raise RecordingError(
             f"{source} has no columns for {absent}. Its columns are: {listing}",
             cure=Cure(
-                "name them in a recording sheet beside the log: [columns] position ="
+                "name them in a recording sheet next to the log: [columns] position ="
                 ' ["..."], torque = ["..."]; usual names are q_1, position_1, <joint>_pos and'
                 " tau_1, effort_1, <joint>_torque; commanded positions do too: command = [...]"
             ),
@@ -155,8 +155,8 @@ def find_layout(
     time, time_scale = _time_column(source, names, order, groups, sheet)
     if time is not None:
         scales[time] = time_scale
-    beside = nanoseconds_beside(time, names) if time and sheet.columns.time is None else None
-    return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes), beside)
+    nanoseconds = nanoseconds_beside(time, names) if time and sheet.columns.time is None else None
+    return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes), nanoseconds)
 
 
 def _chosen(
@@ -246,7 +246,7 @@ def _group(
 def _with_two_encoders(groups: dict[tuple[str, str], _Group]) -> dict[tuple[str, str], _Group]:
     """Return groups in which motor positions are the positions, and link positions a second set.
 
-    Only where the others are called those of links; a log with positions of motors alone has no
+    Only where the others are called link positions; a log with positions of motors alone has no
     others.
     """
     motor, other = groups.get(("position", "motor")), groups.get(("position", ""))
@@ -331,7 +331,7 @@ def _column(
             raise RecordingError(
                 f"{source}: the sheet gives column {column} ({name!r}) for {what}, which holds text"
                 " in place of numbers",
-                cure=Cure("count the columns of the file from 1, those of text too"),
+                cure=Cure("count the columns of the file from 1, text columns too"),
                 file=source,
                 value=column,
             )
@@ -522,7 +522,7 @@ def _aligned(
         if not assumed:
             return tuple(columns[k] for k in order)
     raise RecordingError(
-        f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not those of the"
+        f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not the joints of the"
         f" position columns ({', '.join(labels)})",
         file=source,
         value=list(own),

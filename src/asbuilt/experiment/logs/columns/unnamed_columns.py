@@ -149,13 +149,13 @@ def _span(places: Sequence[int]) -> str:
 
 
 def _time_unit(values: Array) -> str:
-    """Return the unit of times by their median step, that of a rate between 5 and 5000 Hz."""
+    """Return the unit of times in which their median step is a rate between 5 and 5000 Hz."""
     step = float(np.median(np.diff(values[np.isfinite(values)])))
     return next(unit for unit, least in STEPS.items() if step >= least)
 
 
 def _velocity_unit(t: Array, q: Array, qd: Array, degrees: bool) -> dict[str, str]:
-    """Return the unit of velocities under its name where it is not that of the positions in SI."""
+    """Return the unit of velocities under its name where it is not the positions' unit in SI."""
     slope = np.gradient(q, t, axis=0)
     ok = np.isfinite(slope) & np.isfinite(qd)
     factor = float(np.sqrt(np.sum(qd[ok] ** 2) / max(float(np.sum(slope[ok] ** 2)), 1e-30)))
@@ -208,7 +208,7 @@ def _is_later(t: Array, q: Array, u: Array) -> bool:
 def _roles(
     t: Array, groups: list[Array], model: RobotModel | None, known: int | None
 ) -> tuple[int, int | None, list[int], bool]:
-    """Return the groups of positions and velocities, those of torques, the likeliest first.
+    """Return the groups of positions and velocities, and groups of torques, the likeliest first.
 
     And whether the positions are degrees. `known` is the group of positions, if that is known.
     """
@@ -265,7 +265,7 @@ def _ticks(values: Array) -> bool:
 def _rate(q: Array, qd: Array, degrees: bool) -> float | None:
     """Return the rate [Hz] at which the steps of positions are the velocities; None if none can be.
 
-    Velocities in degrees per second beside positions in radians count as such.
+    Velocities in degrees per second with positions in radians count as such.
     """
     steps = np.gradient(q, axis=0)
     ok = np.isfinite(steps) & np.isfinite(qd)

@@ -44,7 +44,7 @@ _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 class Dialect:
     """Describe a text file; `separator` is "" for blanks, `skip` lines precede the data.
 
-    Of the text columns those of dates and times are `dated`. `rows` are those before a last line
+    Text columns of dates and times are `dated`. `rows` counts the rows before a last line
     that is cut, as where a recorder was stopped while it wrote; None if it is whole.
     """
 
@@ -74,7 +74,7 @@ def find_dialect(
     """Find separator, header row and column names from the first lines.
 
     If `header` is None, a first line is the header row unless its cells are numbers, or text,
-    where those of the second line are. If the columns are `numbered` a name may be repeated.
+    where the cells of the second line are. If the columns are `numbered` a name may be repeated.
 
     Raises
     ------

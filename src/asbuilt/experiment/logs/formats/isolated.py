@@ -37,7 +37,7 @@ class Limits:
     size
         Largest file [bytes]; longer recordings are streamed from Parquet or text.
     memory, memory_ratio
-        Bytes beside those of the libraries, and further bytes per byte of the file; arrays of
+        Bytes in addition to the libraries', and further bytes per byte of the file; arrays of
         doubles compress to a tenth, seldom further.
     time, time_ratio
         Seconds, and further seconds per byte of the file; bags are decoded at about 1 MB/s.
@@ -169,7 +169,7 @@ def _error(error: Mapping[str, Any], path: Path) -> AsbuiltError:
 
 
 def _size(path: Path) -> float:
-    """Return the size [bytes] of a regular file or of those of a folder."""
+    """Return the size [bytes] of a regular file or of the files in a folder."""
     files = [path, *path.rglob("*")] if path.is_dir() else [path]
     for file in files:
         if not file.is_dir():
@@ -200,8 +200,8 @@ def _answer(
     except MemoryError:
         error["message"] = f"{path} needs more than {memory / 1e6:.0f} MB to read"
     except BaseException as problem:
-        said = f"{type(problem).__name__}: {reason(problem)}"
-        error["message"] = f"{path} is not a recording: it cannot be read as {path.suffix} ({said})"
+        text = f"{type(problem).__name__}: {reason(problem)}"
+        error["message"] = f"{path} is not a recording: it cannot be read as {path.suffix} ({text})"
     return [json.dumps({"error": error}).encode()]
 
 

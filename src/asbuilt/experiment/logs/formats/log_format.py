@@ -45,7 +45,7 @@ class LogTable:
     notes
         What was assumed or left out, in sentences.
     order
-        Names of all columns in the order of the file, those of text too, by which a sheet numbers
+        Names of all columns in the order of the file, text columns too, by which a sheet numbers
         them; by default the numeric ones.
     shares
         Columns of positions and commands that may be shares of a range, so that the sheet has to

@@ -87,7 +87,7 @@ class McapRecords:
                 raise self._damaged(f"{type(error).__name__}: {error}") from error
 
     def _records(self, file: BinaryIO) -> Iterator[Any]:
-        """Yield records, those of chunks in their place, until the end of the data."""
+        """Yield records, the records of chunks in their place, until the end of the data."""
         from mcap.records import Chunk, DataEnd  # noqa: PLC0415
         from mcap.stream_reader import StreamReader, breakup_chunk  # noqa: PLC0415
 
@@ -301,7 +301,7 @@ def _state(logged: int, message: Mapping[str, Any]) -> Any:
 
 
 def _time(stamp: Any, otherwise: int) -> Any:
-    """Return seconds and nanoseconds of a time, those of another [ns] if it is none."""
+    """Return seconds and nanoseconds of a time, or of another [ns] if it is none."""
     if isinstance(stamp, Mapping):
         whole = next((stamp[key] for key in SECONDS if key in stamp), None)
         rest = next((stamp[key] for key in NANOSECONDS if key in stamp), 0)
@@ -353,7 +353,7 @@ def _columns(path: Path, objects: Sequence[tuple[int, Any]]) -> LogTable:
 
 
 def _fields(value: Any, name: str = "", depth: int = 0) -> list[tuple[str, Array]]:
-    """Return names and numbers of the fields of an object, those of inner ones as outer/inner."""
+    """Return names and numbers of the fields of an object, fields of inner ones as outer/inner."""
     if isinstance(value, Mapping) and depth < DEEPEST:
         return [
             found

@@ -123,7 +123,7 @@ def _names(
 def _times(path: Path, frame: pl.DataFrame, info: Mapping[str, Any]) -> Array:
     """Return one clock for all episodes, with gaps between them.
 
-    It is that of the time stamps, or without them that of the frames at `fps`.
+    It comes from the time stamps, or without them from the frames at `fps`.
     """
     stamps = pl.Series([None] * frame.height, dtype=pl.Float64)
     if "timestamp" in frame.columns and frame["timestamp"].dtype.is_numeric():
@@ -173,7 +173,7 @@ def _matrix(path: Path, field: str, values: Sequence[Any], n_joints: int) -> Arr
 def _with_unit(table: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
     """Return the table if its sheet says the units; raises `RecordingError` otherwise.
 
-    That of grippers, which is another one, is left to the joints that the robot has.
+    The unit of grippers, which is another one, is left to the joints that the robot has.
     """
     renamed = sheet.joints if isinstance(sheet.joints, dict) else {}
     positions = {

@@ -106,7 +106,7 @@ def convention_finding(fit: TorqueFit) -> tuple[Finding, TorqueFit] | None:
     """Return a finding, and the fit that it explains, if other conventions fit the torques.
 
     Directions, and zeros by quarters of a turn, are tried for one joint more as long as the misfit
-    falls decisively, and positions keep their limits. Small errors of a zero are those of
+    falls decisively, and positions keep their limits. Small errors of a zero are left to
     `asbuilt.identification.effects`.
     """
     if not np.any(np.abs(fit.correlation[fit.decides]) < THRESHOLDS.doubtful):
@@ -159,7 +159,7 @@ def _fallen(before: TorqueFit, after: TorqueFit) -> Indices:
 
 def _text(conventions: Conventions, joints: Sequence[int]) -> str:
     names = conventions.fit.model.joint_names
-    said = []
+    sentences = []
     for k in joints:
         what = []
         if conventions.position_sign[k] < 0.0 and conventions.torque_sign[k] < 0.0:
@@ -171,8 +171,8 @@ def _text(conventions: Conventions, joints: Sequence[int]) -> str:
         if conventions.zero[k] != 0.0:
             degrees = np.degrees(conventions.zero[k])
             what.append(f"reads {degrees:.0f} deg where the description has zero")
-        said.append(f"{names[k]} {' and '.join(what)}")
-    return joined(said)
+        sentences.append(f"{names[k]} {' and '.join(what)}")
+    return joined(sentences)
 
 
 def _cure(conventions: Conventions) -> Cure:
@@ -227,7 +227,7 @@ GRAVITY = GravityThresholds()
 def gravity_finding(fit: TorqueFit) -> tuple[Finding, Array] | None:
     """Return a finding and the gravity (3,) [m/s^2] if the torques show another direction.
 
-    The torques without gravity and those of gravity along each axis are compared with the measured
+    The torques without gravity and gravity's torques along each axis are compared with the measured
     ones, offset and friction taken out of all. The sign of friction distinguishes a flipped torque
     from a robot upside down; without it, torques that gravity does not dominate do. If they do
     not decide, the torque is taken as flipped. A description without gravity is doubted where the

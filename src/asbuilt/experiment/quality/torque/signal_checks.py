@@ -105,7 +105,7 @@ def spike_findings(model: RobotModel, recording: FirstPass) -> Iterator[Finding]
             "torque_spikes",
             "warning",
             f"{rows.size} of {recording.n_samples} torques of {robot.name} stand out from the"
-            f" samples beside them, by up to {sizes[worst]:.4g} {unit} at"
+            f" samples next to them, by up to {sizes[worst]:.4g} {unit} at"
             f" t = {recording.t[rows[worst]]:.6g} s; fits use the mean of these neighbours instead",
             Cure("find out where single values come from: a hard stop, the bus or the sensor"),
             joint=robot.name,
@@ -206,7 +206,7 @@ def law_text(names: Sequence[str], laws: Sequence[MagnitudeLaw | None]) -> str:
             if law is not None and law.holds and law.kind == kind
         ]
         if listed:
-            parts.append(f"those of {joined(listed)} are {what}")
+            parts.append(f"the magnitudes of {joined(listed)} are {what}")
     return f"; {'; '.join(parts)}" if parts else ""
 
 

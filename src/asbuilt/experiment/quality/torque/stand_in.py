@@ -15,7 +15,7 @@ from asbuilt.findings import Cure, Finding
 
 @dataclass(frozen=True, slots=True)
 class StandInThresholds:
-    """Say when torques are not those of an arm of this length.
+    """Say when torques do not fit an arm of this length.
 
     Mass of arms grows with the third power of length. The density [kg/m^3] of rods
     `stretched_length` wide is 2 to 16 for the descriptions of thirteen robots whose torque of
@@ -26,7 +26,7 @@ class StandInThresholds:
     density: tuple[float, float] = (0.5, 800.0)
     """Densities that a robot may have: a quarter of the lightest, nine times the heaviest."""
     correlation: float = 0.7
-    """Correlation of the largest torque with that of the rods from which its scale is clear."""
+    """Correlation of the largest torque with the rods' torque from which its scale is clear."""
     gravity: float = 0.8
     """Least share of gravity in that torque."""
 
@@ -54,7 +54,7 @@ def stand_in(model: RobotModel) -> RobotModel:
 def implied_density(fit: TorqueFit) -> float | None:
     """Return the density of rods [kg/m^3] whose torques are as large as the measured ones.
 
-    None where the torques are not mostly gravity's, or unlike those of rods.
+    None where the torques are not mostly gravity's, or unlike the torques of rods.
     """
     rods = replace(fit, model=stand_in(fit.model))
     predicted = rods.predicted

@@ -28,7 +28,7 @@ class TorqueThresholds:
     clear: float = 0.9
     """Correlation with the model's torque from which sign and scale of a joint are clear."""
     certain: float = 0.95
-    """Correlation from which a single joint may be said to differ from the others."""
+    """Correlation from which a single joint may be reported to differ from the others."""
     faint: float = 0.3
     """Correlation of the largest torque from which noise explains that no joint is clear."""
     similar: tuple[float, float] = (0.8, 1.25)
@@ -70,7 +70,7 @@ def torque_findings(
         yield Finding(
             "no_torque",
             "error",
-            "the torques are constant: that of the first joint is"
+            "the torques are constant: the torque of the first joint is"
             f" {recording.first.tau[0, 0]:.4g} in {recording.n_samples} samples",
             Cure("log the measured joint torques or motor currents"),
         )
@@ -258,8 +258,8 @@ def _sign_and_scale(
             yield Finding(
                 "joint_torque_scale",
                 "warning",
-                f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's; those of the"
-                f" other joints are about {scale:.3g} times theirs",
+                f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's; the torques of"
+                f" the other joints are about {scale:.3g} times theirs",
                 Cure("correct its gain or unit, as by gains = [...] in a recording sheet"),
                 joint=names[k],
             )
@@ -301,7 +301,9 @@ def _no_correlation(
 def _flip_cure(notes: Collection[str]) -> Cure:
     """Return the cure of all signs, which may have been flipped already."""
     if FLIPPED_TWICE in notes:
-        return Cure("keep one of the two flips: sign = -1 in the recording sheet, or that of all")
+        return Cure(
+            "keep one of the two flips: sign = -1 in the recording sheet, or the flip of all"
+        )
     if FLIPPED in notes:
         return Cure("flip the torque sign back: it was flipped, here or by sign = -1 of the sheet")
     return Cure(
@@ -343,6 +345,6 @@ def _scale_finding(model: RobotModel, recording: FirstPass, scale: float, eviden
     return Finding(
         "torque_scale",
         "error",
-        f"the torques are {scale:.3g} times those of {model.name} ({evidence}): {guess}",
+        f"the torques are {scale:.3g} times the torques of {model.name} ({evidence}): {guess}",
         cure,
     )

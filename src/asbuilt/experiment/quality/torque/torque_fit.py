@@ -32,7 +32,7 @@ def decisive_change(
     logged
         Order of columns as logged.
     changes
-        Other orders, such as those of `swaps`.
+        Other orders, such as the orders of `swaps`.
     cost
         Misfit of an order.
     fall

@@ -127,8 +127,8 @@ def choose_band(
 
     The torque of a command contains the positions and their noise, so that it is no measure of
     them; if it is `commanded`, noise demands no cutoff below `LOWEST_CUTOFF`. A lower one turns the
-    phase by which stiffness and delay of the servo are found. With `of_velocity` the noise is that
-    of the logged velocities, from which accelerations follow.
+    phase by which stiffness and delay of the servo are found. With `of_velocity` the noise is in
+    the logged velocities, from which accelerations follow.
     """
     moved = [
         np.cumsum(segment.qd, axis=0) / rate

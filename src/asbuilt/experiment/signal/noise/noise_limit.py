@@ -8,7 +8,7 @@ torque; the cutoff keeps their sum small, as a Wiener filter does (Wiener, Extra
 Interpolation, and Smoothing of Stationary Time Series, 1949).
 
 A base that floats has no torque to compare with. The noise of its pose is white, as high as the
-spectrum is where no body moves, and its errors are those of the acceleration.
+spectrum is where no body moves, and its errors are errors of the acceleration.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 WINDOWS = {"hann": (0.5, 0.5), "blackmanharris": (0.35875, 0.48829, 0.14128, 0.01168)}
 """Weights of the cosines that a window sums (Harris, Proc. IEEE 66, 1978)."""
 SAMPLES_AT_ONCE = 500_000
-"""Samples whose windows are transformed together: 4 MB, and six times that beside."""
+"""Samples whose windows are transformed together: 4 MB, and the transforms six times as much."""
 
 
 def power_density(

@@ -40,8 +40,8 @@ class SpikeRules:
 
 
 RULES = SpikeRules()
-BESIDE = np.array([-3, -2, -1, 2, 3, 4])
-"""Steps beside the two of a spike, from the first of them."""
+NEIGHBOURS = np.array([-3, -2, -1, 2, 3, 4])
+"""Steps next to the two of a spike, from the first of them."""
 FEWEST = 20
 """Samples that differ from the one before, at least."""
 
@@ -59,7 +59,7 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
     """Return the spikes of torques (N, n); samples that repeat the one before do not count.
 
     The prominence of a sample is by how much it is above both neighbours, or below both. A spike
-    has many times that of noise, and neighbours that are alike.
+    has many times the prominence of noise, and neighbours that are alike.
 
     >>> x = np.sin(np.linspace(0.0, 6.0, 200))[:, None]
     >>> x[50] += 2.0
@@ -71,7 +71,7 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
         return []
     some = slice(None, None, max(1, places.size // 20_000))
     found = []
-    for k in range(tau.shape[1]):  # one by one: a long log has no room for all of them beside it
+    for k in range(tau.shape[1]):  # one by one: a long log leaves no room for all of them
         x = tau[:, k] if places.size == len(tau) else tau[places, k]
         steps = np.diff(x)
         sizes = np.abs(steps)
@@ -83,8 +83,8 @@ def find_spikes(tau: Array, not_repeated: Mask) -> list[Spikes]:
         rows = np.flatnonzero(prominence > least)
         above = prominence[rows]
         lone = np.abs(steps[rows + 1] + steps[rows]) < RULES.alike * above
-        beside = np.clip(rows[:, None] + BESIDE, 0, len(steps) - 1)
-        lone &= above > RULES.calm * np.max(sizes[beside], axis=1)
+        nearby = np.clip(rows[:, None] + NEIGHBOURS, 0, len(steps) - 1)
+        lone &= above > RULES.calm * np.max(sizes[nearby], axis=1)
         if 0 < np.count_nonzero(lone) <= RULES.most * len(prominence):
             found.append(Spikes(k, places[rows[lone] + 1], above[lone]))
     return found

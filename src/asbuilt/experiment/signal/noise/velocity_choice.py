@@ -10,7 +10,7 @@ import numpy as np
 from asbuilt.arrays import Array
 
 LARGEST_GAIN_ERROR = 0.02
-"""Largest deviation of its scale from that of the derivative."""
+"""Largest deviation of its scale from the scale of the derivative."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,11 +34,11 @@ def read_ros_bag(
 
     A bare file is a `.db3`, also compressed as `.db3.zstd`, or an `.mcap` of ROS 2.
 
-    Times are the message header's if it has one, else the bag's. Measured joints are those of
+    Times are the message header's if it has one, else the bag's. Measured joints come from
     `sensor_msgs/JointState`, `control_msgs/DynamicJointState` or the state of a trajectory
-    controller; commanded positions those of `command_topic`, or of the only topic that holds some
+    controller; commanded positions from `command_topic`, or the only topic that holds some
     (`chosen_topics`). `command_joints` names the joints of commands that are numbers alone;
-    `required` says that commands which cannot be used are an error even beside efforts.
+    `required` says that commands which cannot be used are an error even if there are efforts.
 
     Raises
     ------

@@ -121,8 +121,8 @@ def _of_joints(
     unknown = [name for name in listed if name in others and name not in names]
     if not commanded or unknown:
         raise RecordingError(
-            f"{path}: the commands of {topics.commands} are those of {', '.join(others)}, and the"
-            f" joint states of {topics.states} those of {', '.join(names)}",
+            f"{path}: the commands of {topics.commands} name {', '.join(others)}, and the"
+            f" joint states of {topics.states} name {', '.join(names)}",
             cure=Cure(
                 "name the topics that belong together, or the joints of the commands as the states"
                 " do, in a recording sheet: topic, command_topic, command_joints"
@@ -136,9 +136,9 @@ def _of_joints(
 
 def _without_commands(path: Path, topics: Topics, names: Sequence[str]) -> RecordingError:
     several = topics.candidates if topics.commands is None else ()
-    said = f"{', '.join(several)} may each hold" if several else "no topic holds"
+    lack = f"{', '.join(several)} may each hold" if several else "no topic holds"
     return RecordingError(
-        f"{path}: the joint states of {', '.join(names)} have no effort, and {said} their commands;"
+        f"{path}: the joint states of {', '.join(names)} have no effort, and {lack} their commands;"
         " torques, currents or commanded positions are required",
         cure=Cure('name the topic of the commands in a recording sheet: command_topic = "..."'),
         file=str(path),
@@ -168,7 +168,7 @@ def _clocks(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], list[JointMessage]]:
     """Return the times [ns] of states and commands by one clock, and the commands in their order.
 
-    It is that of the headers, unless one of them has none.
+    It is the headers' clock, unless one of them has none.
     """
     groups = [each for each in (states, commands) if each]
     stamped = all(_is_stamped(each) for each in groups)
@@ -184,7 +184,7 @@ def _clocks(
 
 
 def _is_stamped(messages: Sequence[JointMessage]) -> bool:
-    """Return whether the headers of messages have times, which differ as those of logging do."""
+    """Return whether the headers of messages have times, which differ as logging times do."""
     stamps = np.array([each.stamp for each in messages], dtype=np.int64)
     distinct, logged = len(np.unique(stamps)), len({each.logged for each in messages})
     unset = int(np.count_nonzero(stamps == 0))
@@ -239,7 +239,7 @@ def read_commands(
             f"{path}: the messages of {topics.commands} ({types[topics.commands]}) hold {count}"
             " numbers without the names of their joints",
             cure=Cure(
-                "list the joints in their order, that of the controller's parameter `joints`, in a"
+                "list the joints in the order of the controller's parameter `joints`, in a"
                 ' recording sheet: command_joints = ["...", "..."]'
             ),
             file=str(path),
@@ -269,7 +269,7 @@ def in_force(
     path, topic
         File and topic, for messages.
     commands
-        The commands, those of trajectories point by point.
+        The commands; trajectories give them point by point.
     starts
         Times of their messages [ns].
     period

@@ -42,7 +42,7 @@ class JointMessage:
     position, velocity, effort
         Values (n,), empty where the message has none.
     after
-        Time from that of the message at which they hold [ns], of points of a trajectory.
+        Time after the message at which they hold [ns], of points of a trajectory.
     """
 
     logged: int
