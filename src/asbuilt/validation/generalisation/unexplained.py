@@ -171,7 +171,8 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
     best = (-np.inf, 0.0)
     for stiff in RETURNING.stiff:
         ends = np.linalg.solve(
-            grams.sum(axis=0) - grams + stiff * np.diag(prior), (sides.sum(axis=0) - sides)[..., None]
+            grams.sum(axis=0) - grams + stiff * np.diag(prior),
+            (sides.sum(axis=0) - sides)[..., None],
         )[..., 0]
         left = np.einsum("fi,fij,fj->f", ends, grams, ends) - 2.0 * np.sum(ends * sides, axis=1)
         mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING.folds
