@@ -93,7 +93,7 @@ class ReturningRules:
     """Say when a torque error returns with the state of its joint: own choices."""
 
     order: int = 24
-    """Half waves over the range of positions: a dozen teeth or poles."""
+    """Half waves over the range of positions, at most a turn: a dozen teeth or poles."""
     stiff: tuple[float, ...] = (1.0, 10.0, 100.0)
     """Trial weights of the prior, in samples."""
     folds: int = 8
@@ -157,10 +157,13 @@ def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float
     And its standard error. A cosine series over the range of positions for each direction, with
     coefficients that fall as the order grows, is fitted to all parts of the recording but one and
     predicts that one (cross-validation; Stone, J. Royal Statistical Society B 36, 1974). Noise
-    predicts nothing, so that the share is negative.
+    predicts nothing, so that the share is negative. What turns by more than one turn is taken to
+    have the same error after each.
     """
     order = np.arange(RETURNING.order + 1)
-    turn = np.pi * (q - q.min()) / max(float(np.ptp(q)), np.finfo(np.float64).tiny)
+    whole, span = 2.0 * np.pi, float(np.ptp(q))
+    way = (q - q.min()) % whole if span > whole else q - q.min()
+    turn = np.pi * way / max(min(span, whole), np.finfo(np.float64).tiny)
     wave = np.cos(turn[:, None] * order)
     X = np.hstack([wave * forward[:, None], wave * ~forward[:, None]])
     own = np.arange(q.size) * RETURNING.folds // q.size
