@@ -55,6 +55,29 @@ def _elastic(robot: OutsideRobot, inertia: Array) -> OutsideRobot:
     return replace(robot, stiffness=dict(enumerate(stiffness.tolist())))
 
 
+def _uneven(q: Array, qd: Array) -> Array:
+    """Return Coulomb friction that changes by 40 % over a turn, twice."""
+    return np.asarray(0.4 * COULOMB * np.cos(2.0 * q + 1.0) * np.sign(qd))
+
+
+def _ripple(q: Array, qd: Array) -> Array:
+    """Return a torque of 12 waves a turn, a quarter of Coulomb friction."""
+    return np.asarray(0.25 * COULOMB * np.sin(12.0 * q + 1.0))
+
+
+def _hose(q: Array, qd: Array) -> Array:
+    """Return the torque of hoses from link to link: a potential of neighbouring positions.
+
+    `c cos(2 q_k - q_(k-1) + 1)` at each pair, c of half of Coulomb friction.
+    """
+    torque = np.zeros_like(q)
+    force = 0.5 * COULOMB * np.sin(2.0 * q[:, 1:] - q[:, :-1] + 1.0)
+    torque[:, 1:] += 2.0 * force
+    torque[:, :-1] -= force
+    return torque
+
+
+NAMELESS = ("torque_nameless",)
 LACKING = {
     "nothing": Lacking(""),
     "stribeck": Lacking(
@@ -72,6 +95,9 @@ LACKING = {
     "elastic": Lacking("elastic", _elastic),
     "presliding": Lacking("presliding", lambda r, _: replace(r, bristle=_all(0.01, r))),
     "warming": Lacking("warming", lambda r, _: replace(r, warming=0.2), codes=("friction_drifts",)),
+    "uneven": Lacking("", lambda r, _: replace(r, nameless=_uneven), codes=NAMELESS),
+    "ripple": Lacking("", lambda r, _: replace(r, nameless=_ripple), codes=NAMELESS),
+    "hose": Lacking("", lambda r, _: replace(r, nameless=_hose), codes=NAMELESS),
 }
 
 

@@ -81,7 +81,8 @@ class OutsideRobot:
     `turn` is the rotation vector [rad] by which its base is turned in the world, `stiffness` is
     that between motor and link, `mix` turns joint rates into motor rates, `bristle` is the
     stiffness length of Dahl's friction (0: friction is Coulomb's), `beside` are further torques on
-    the links by joint, `warming` is the share of viscous friction that goes over a log.
+    the links by joint, `nameless` is one of all positions and velocities that no effect is the name
+    of, `warming` is the share of viscous friction that goes over a log.
     """
 
     bodies: RobotModel
@@ -97,6 +98,7 @@ class OutsideRobot:
     quadratic: Mapping[int, float] = field(default_factory=dict)
     load_share: Mapping[int, float] = field(default_factory=dict)
     beside: Mapping[int, Callable[[Array], Array]] = field(default_factory=dict)
+    nameless: Callable[[Array, Array], Array] | None = None
     gain: Mapping[int, float] = field(default_factory=dict)
     zero: Mapping[int, float] = field(default_factory=dict)
     delay: float = 0.0
@@ -144,7 +146,8 @@ class OutsideRobot:
         for place, share in self.mix.items():
             mix[place] = share
         s, sd, sdd = q @ mix.T, qd @ mix.T, qdd @ mix.T
-        return np.asarray(load + self._drive(t, s, sd, sdd, load) @ mix + self.offset)
+        more = 0.0 if self.nameless is None else self.nameless(q, qd)
+        return np.asarray(load + self._drive(t, s, sd, sdd, load) @ mix + self.offset + more)
 
     def _drive(self, t: Array, s: Array, sd: Array, sdd: Array, load: Array) -> Array:
         """Return the torque of friction and rotors in the motors' coordinates (N, n)."""

@@ -172,3 +172,20 @@ def test_errors_of_parameters_count_that_of_the_delay():
     assert ratio.mean() > 0.97
     np.testing.assert_allclose(fit.delay.shift, moved / error * -0.010, rtol=0.2, atol=0.02)
     assert delay_errors(MODEL, fit.base, fit.estimate, [prepare_samples(log, chain)]) is None
+
+
+@pytest.mark.parametrize("joint", [0, 2])
+def test_friction_of_one_joint_that_bends_before_it_slides_is_no_delay_of_that_joint(joint):
+    """Dahl's bristles, integrated here: they lag by a way, not by a time."""
+    model = load_robot("scara")
+    log = recorded(2, seconds=40.0, noise=0.05, model=model)
+    q = log.q[:, joint]
+    z, way = np.zeros(len(q)), 0.004 * np.ptp(q)
+    for i, step in enumerate(np.diff(q)):
+        side = np.sign(step)
+        z[i + 1] = side + (z[i] - side) * np.exp(-abs(step) / way)
+    tau = np.array(log.tau)
+    tau[:, joint] += 4.0 * z
+    estimate = found(replace(log, tau=tau), model=model)
+    assert estimate.joint_estimates is None
+    assert abs(estimate.estimates[0]) < 2.0 * estimate.std_errors[0]

@@ -118,14 +118,42 @@ def test_a_curve_over_position_is_found_as_a_cable_beside_described_terms(trial)
         assert effects.drive == drive
 
 
+@pytest.mark.parametrize(
+    ("robot", "joint", "start"),
+    [("ur10e", 3, 0.4), pytest.param("puma-560", 4, -1.0, marks=pytest.mark.study)],
+)
+def test_a_force_between_two_points_is_a_balancer_and_in_the_model(
+    trial, robot, joint, start
+) -> None:
+    """By the energy of an extension spring, whose difference quotient is its torque."""
+    case = trial(robot, "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
+    n, samples = case.model.n_joints, sprung(case, np.zeros(case.model.n_joints))
+
+    def energy(q):
+        length = np.sqrt(0.4**2 + 0.2**2 - 2 * 0.4 * 0.2 * np.cos(q - start))
+        return 100.0 * (length - 0.15) ** 2
+
+    q = samples.q[:, joint]
+    torque = (energy(q + 1e-5) - energy(q - 1e-5)) / 2e-5
+    tau = samples.tau + np.outer(torque, np.eye(n)[joint])
+    effects = find_effects(case.model, DRIVE, [replace(samples, tau=tau)])
+    (found,) = effects.found
+    assert (found.effect, found.joint) == ("balancer", case.model.joint_names[joint])
+    assert found.in_model
+    assert found.error_after < 0.8 * found.error_before
+    (term,) = (each for each in effects.drive.terms if each.key == "balancer")
+    assert term.joints == (joint + 1,)
+    assert term.at(joint).value("harmonics") == 2.0
+
+
 def test_terms_that_only_a_description_states_are_not_sought() -> None:
     model = load_robot("ur10e")
     robot = Described(model, DRIVE, np.zeros(78), "sensor", (np.ones((9, 6)),), np.ones(6))
-    sought = {
-        each.effect.key: each.n_columns for _, e in EFFECTS.items() for each in e.variants(robot)
-    }
-    assert not {"extension_spring", "motor_cable"} & set(sought)
-    assert sought["cable"] == 3
+    sought = [(v.effect.key, v.n_columns) for _, e in EFFECTS.items() for v in e.variants(robot)]
+    assert not {"extension_spring", "motor_cable"} & {key for key, _ in sought}
+    # neither a cable nor a force between two points wins by its number of columns
+    assert [m for key, m in sought if key == "cable"] == [4]
+    assert [m for key, m in sought if key == "balancer"] == [2, 4]
     assert available_terms()["cable"].can_be_found
     stated = DriveSet.parse("extension_spring:inner=1:outer=1:angle=0:length=1").terms[0]
     assert stated.can_be_found

@@ -15,7 +15,11 @@ from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.findings import Finding
 from asbuilt.identification.identify import identify_samples
-from asbuilt.validation.generalisation.unexplained import unexplained_findings
+from asbuilt.validation.generalisation.unexplained import (
+    nameless_findings,
+    returning_share,
+    unexplained_findings,
+)
 from asbuilt.validation.prediction import validate_samples
 
 MODEL = bundled_robot("ur10e")
@@ -69,3 +73,40 @@ def test_a_push_is_named_with_its_time() -> None:
     start, stop = finding.message.rpartition("from ")[2].removesuffix(" s").split(" to ")
     assert float(start) == pytest.approx(12.0, abs=1.6)
     assert float(stop) == pytest.approx(16.0, abs=1.6)
+
+
+def nameless(recording: Recording) -> list[Finding]:
+    samples = prepare_samples(recording)
+    drive = DriveSet.parse("viscous,coulomb")
+    result = identify_samples(MODEL, samples, drive=drive, method="entropic")
+    return list(nameless_findings([validate_samples(result, samples)], [samples]))
+
+
+def test_noise_does_not_return() -> None:
+    assert nameless(log()) == []
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_friction_that_depends_on_position_has_no_name(joint: int) -> None:
+    recording = log()
+    tau = np.array(recording.tau)
+    forward = np.sign(np.gradient(recording.q[:, joint], recording.t))
+    tau[:, joint] += 1.5 * np.cos(3.0 * recording.q[:, joint]) * forward
+    (finding,) = nameless(replace(recording, tau=tau))
+    assert MODEL.joint_names[joint] in finding.message
+    assert sum(name in finding.message for name in MODEL.joint_names) == 1
+    assert "cannot name" in finding.message
+
+
+def test_the_share_that_returns_is_that_of_the_curve() -> None:
+    rng = np.random.default_rng(4)
+    q = np.cumsum(rng.normal(size=20_000)) % 6.0
+    forward = rng.random(q.size) < 0.5
+    curve = np.where(forward, np.sin(2.0 * q), 0.3 * np.cos(5.0 * q))
+    noise = rng.normal(size=q.size)
+    share, error = returning_share(q, forward, curve + noise)
+    true = float(np.var(curve) / np.mean((curve + noise) ** 2))
+    assert share == pytest.approx(true, abs=0.05)
+    assert error < 0.05
+    share, error = returning_share(q, forward, noise)
+    assert -0.05 < share < 0.0

@@ -312,8 +312,9 @@ class _Fits:
 def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array] | None:
     """Return delays of the joints and their errors, (R, n) each, or None if they are alike.
 
-    Friction lags by different times at different joints. So delays that differ must do so by more
-    than the largest lag of friction (`lag`) [s].
+    Friction lags by different times at different joints. So what the lag of a joint's friction
+    changes counts as error, and delays that differ must do so by more than the largest lag of
+    friction (`lag`) [s].
     """
     n, count = fits.model.n_joints, fits.count
     columns, each = fits.columns(delays), _per_joint(count, n)
@@ -325,7 +326,9 @@ def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array]
         if np.all(np.abs(step) < RULES.settled):
             break
     solved = columns.solve(each)
-    errors = solved.std_errors.reshape(count, n)
+    beside = columns.solve(np.concatenate([each, _friction(count, n)], axis=2))
+    moved = beside.increments[: count * n] - solved.increments
+    errors = np.hypot(solved.std_errors, moved).reshape(count, n)
     chance, spread = _alike(wide, errors, solved.n_blocks)
     return None if chance > RULES.unequal or spread < RULES.of_one_joint * lag else (wide, errors)
 

@@ -233,14 +233,15 @@ class _Search:
     def _matters(self, trial: Trial, errors: tuple[float, float]) -> bool:
         """Return whether an effect is named: in the model, or much of the torque error.
 
-        An error of the log at a joint of small torques is named if it lowers that joint's error.
+        An effect at a joint of small torques is named if it lowers that joint's error.
         """
         before, after = errors
         effect = trial.candidate.effect
         falls = after < (1.0 - 0.5 * RULES.named) * before
-        at_joint = effect.of_log and trial.candidate.joint is not None
-        of_log = at_joint and (not trial.relief.size or trial.relief.mean() > RULES.named)
-        return effect.key in self.applied or falls or of_log
+        of_joint = trial.candidate.joint is not None and (
+            not trial.relief.size or trial.relief.mean() > RULES.named
+        )
+        return effect.key in self.applied or falls or of_joint
 
     def _given(self, selection: Selection) -> tuple[list[_Removed], Selection]:
         """Return the stated effects that are sure and large enough, and the selection beside them.
@@ -491,11 +492,12 @@ def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) 
     """Return drive terms with those of candidates, in place of the simpler terms they replace."""
     for effect in dict.fromkeys(each.effect for each in candidates):
         assert isinstance(effect, DriveEffect)
-        own = {each.joint for each in candidates if each.effect is effect}
+        found = {e.joint: e.term for e in candidates if e.effect is effect and e.joint is not None}
+        own = set(found)
         term = effect.term
         had = next((each for each in drive.terms if each.key == term.key), None)
         joints = own | {k for k in range(n_joints) if had is not None and had.is_at(k)}
-        drive = drive.with_term(_at(had or term, joints, n_joints))
+        drive = drive.with_term(_at(_formed(had or term, found, n_joints), joints, n_joints))
         simple = next((each for each in drive.terms if each.key == term.stands_for), None)
         if simple is not None:
             left = {k for k in range(n_joints) if simple.is_at(k)} - own
@@ -504,8 +506,17 @@ def with_terms(drive: DriveSet, candidates: Sequence[Candidate], n_joints: int) 
     return drive
 
 
-def _at(term: DriveTerm, joints: Collection[int | None], n_joints: int) -> DriveTerm:
-    numbers = tuple(sorted(k + 1 for k in joints if k is not None))
+def _formed(term: DriveTerm, found: Mapping[int, DriveTerm | None], n_joints: int) -> DriveTerm:
+    """Return a term in the form in which it was found at each joint."""
+    for each in term.nonlinear:
+        there = [(found.get(k) or term).at(k).value(each.name) for k in range(n_joints)]
+        if not each.fitted and set(there) != {each.default}:
+            term = term.with_nonlinear({each.name: tuple(there)})
+    return term
+
+
+def _at(term: DriveTerm, joints: Collection[int], n_joints: int) -> DriveTerm:
+    numbers = tuple(sorted(k + 1 for k in joints))
     return replace(term, joints=None if len(numbers) == n_joints else numbers)
 
 

@@ -25,9 +25,12 @@ class SelectionRules:
     unheld: float = 2.0
     """The same where the description has no masses, or masses that the data refute: then nothing
     but the data holds the bodies, and the model's will not be those of this fit."""
-    worth: float = 0.02
-    """Share of the squared torque error on other motion that an effect must take away: 1 % of the
-    torque error."""
+    form: float = 2.0
+    """Standard errors by which another form, such as a spring between points for a torsion spring,
+    must predict other motion better than the one that lowers the cost most for its columns."""
+    worth: float = 0.04
+    """Share of the squared torque error on other motion that an effect must take away: 2 % of the
+    torque error. Of 40 virtual robots on which nothing acts four had one that was worth less."""
     sure: float = 2.0
     """Fall of the cost for each column, in half squares of independent standard errors: two."""
     felt: float = 1e-3
@@ -301,7 +304,8 @@ class Selection:
         return trials
 
     def _preferred(self, best: Trial, trials: Sequence[Trial]) -> Trial:
-        """Return a look-alike that the model may have, where it may not have the best."""
+        """Return the best form at its joint, or a look-alike where the model may not have it."""
+        best = _best_form(best, trials)
         own = [each for each in trials if each.candidate.effect.key in self.applied]
         alike = [each for each in own if _look_alike(best, each)]
         if best in own or not alike:
@@ -525,6 +529,19 @@ class Selection:
 def worth_of(gain: float, n_columns: int) -> float:
     """Return a fall of the cost less what as many columns take away by chance."""
     return gain - n_columns * float(np.log(max(gain, 1.0)))
+
+
+def _best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
+    """Return the trial of the same kind and joint that surely predicts other motion better."""
+    kind, joint = best.candidate.effect.kind, best.candidate.joint
+    better = [best]
+    for each in trials:
+        ahead = each.relief - best.relief
+        if (each.candidate.effect.kind, each.candidate.joint) == (kind, joint) and (
+            ahead.mean() > RULES.form * _error_of_mean(ahead)
+        ):
+            better.append(each)
+    return max(better, key=lambda each: float(each.relief.mean()))
 
 
 def _look_alike(taken: Trial, other: Trial) -> bool:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array, Mask
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, joined
 from asbuilt.validation.comparison.comparison import recording_name
 
 if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
     from asbuilt.validation.prediction import Validation
 
 UNEXPLAINED = 0.5
@@ -84,3 +86,100 @@ def _is_push(error: Array, spread: float) -> bool:
     """Return whether errors (N,) of a span are large and of one sign."""
     size = float(np.sqrt(np.mean(error**2)))
     return size > PUSHED * spread and abs(float(np.mean(error))) > ONE_SIDED * size
+
+
+@dataclass(frozen=True, slots=True)
+class ReturningRules:
+    """Say when a torque error returns with the state of its joint: own choices."""
+
+    order: int = 24
+    """Half waves over the range of positions, at most a turn: a dozen teeth or poles."""
+    stiff: tuple[float, ...] = (1.0, 10.0, 100.0)
+    """Trial weights of the prior, in samples."""
+    folds: int = 8
+    """Parts of a recording that are held out in turn; what returns is predicted by the others."""
+    most: int = 20_000
+    """Samples of long recordings."""
+    sure: float = 2.0
+    """Standard errors over the parts."""
+    share: float = 0.2
+    """Share of the squared error from which on it is said."""
+    felt: float = 0.01
+    """Share of the joint's torque below which it is of no account: torque sensors err as much."""
+
+
+RETURNING = ReturningRules()
+
+
+def nameless_findings(
+    training: Sequence[Validation], samples: Sequence[Samples]
+) -> Iterator[Finding]:
+    """Name joints whose torque error returns wherever they pass a position in one direction.
+
+    Noise does not return; what does is a torque that the model has no name for. `samples` are those
+    of the predictions in `training`.
+    """
+    named = []
+    for k, joint in enumerate(training[0].joint_names if training else ()):
+        q, qd, error, torque = (
+            np.concatenate(each)
+            for each in zip(
+                *(
+                    (
+                        np.interp(each.t, own.t, own.q[:, k]),
+                        each.velocity[:, k],
+                        each.error[:, k],
+                        each.measured[:, k],
+                    )
+                    for each, own in zip(training, samples, strict=True)
+                ),
+                strict=True,
+            )
+        )
+        every = -(-q.size // RETURNING.most)
+        share, chance = returning_share(q[::every], qd[::every] > 0.0, error[::every])
+        felt = share * np.mean(error**2) > RETURNING.felt**2 * np.mean(torque**2)
+        if felt and share > max(RETURNING.share, RETURNING.sure * chance):
+            named.append(f"{joint} ({100 * share:.0f} %)")
+    if named:
+        yield Finding(
+            "torque_nameless",
+            "info",
+            f"Something that we cannot name acts at {joined(named, 4)}: this share of the squared"
+            " torque error returns wherever the joint passes a position in the same direction",
+            Cure("look at the torque error over position: cables, cogging, uneven friction"),
+        )
+
+
+def returning_share(q: Array, forward: Mask, error: Array) -> tuple[float, float]:
+    """Return the share of a squared error (N,) that returns with position and direction (N,).
+
+    And its standard error. A cosine series over the range of positions for each direction, with
+    coefficients that fall as the order grows, is fitted to all parts of the recording but one and
+    predicts that one (cross-validation; Stone, J. Royal Statistical Society B 36, 1974). Noise
+    predicts nothing, so that the share is negative. What turns by more than one turn is taken to
+    have the same error after each.
+    """
+    order = np.arange(RETURNING.order + 1)
+    whole, span = 2.0 * np.pi, float(np.ptp(q))
+    way = (q - q.min()) % whole if span > whole else q - q.min()
+    turn = np.pi * way / max(min(span, whole), np.finfo(np.float64).tiny)
+    wave = np.cos(turn[:, None] * order)
+    X = np.hstack([wave * forward[:, None], wave * ~forward[:, None]])
+    own = np.arange(q.size) * RETURNING.folds // q.size
+    grams = np.array([X[own == f].T @ X[own == f] for f in range(RETURNING.folds)])
+    sides = np.array([X[own == f].T @ error[own == f] for f in range(RETURNING.folds)])
+    prior = np.tile(1.0 + (order / 4.0) ** 2, 2)
+    energy = np.bincount(own, error**2, RETURNING.folds)
+    best = (-np.inf, 0.0)
+    for stiff in RETURNING.stiff:
+        ends = np.linalg.solve(
+            grams.sum(axis=0) - grams + stiff * np.diag(prior),
+            (sides.sum(axis=0) - sides)[..., None],
+        )[..., 0]
+        left = np.einsum("fi,fij,fj->f", ends, grams, ends) - 2.0 * np.sum(ends * sides, axis=1)
+        mean = max(float(energy.sum()), np.finfo(np.float64).tiny) / RETURNING.folds
+        shares = -left / mean
+        error_of_mean = float(shares.std(ddof=1)) / np.sqrt(RETURNING.folds)
+        best = max(best, (float(shares.mean()), error_of_mean))
+    return best

@@ -36,7 +36,7 @@ from asbuilt.validation.generalisation.generalisation import (
     validation_findings,
 )
 from asbuilt.validation.generalisation.plateaus import plateau_findings
-from asbuilt.validation.generalisation.unexplained import unexplained_findings
+from asbuilt.validation.generalisation.unexplained import nameless_findings, unexplained_findings
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.verdicts.verdict_error import with_exported
 from asbuilt.workflow.cutoff_sweep import CutoffSweep
@@ -126,6 +126,7 @@ def conclude_study(
         *([] if prepared.validation else coverage_findings(fits.model, prepared.training)),
         *too_short,
         *unexplained_findings(trained),
+        *nameless_findings(trained, fits.samples),
         *_model_findings(fits, result, attribution, options),
         *cad_verdict_findings(validations),
         *spring_findings(result),

@@ -32,21 +32,42 @@ ELSEWHERE = (0.02, 0.15, 1.0, 0.1, 0.0)
 """A place other than the springs', since two terms of one geometry have common parts."""
 
 
+HARMONICS = NonlinearParameter("harmonics", 1.0, 1.0, 2.0, "", fitted=False)
+
+
 @drive_term
 class Balancer(DriveTerm):
-    """Add `Bs sin(q) + Bc cos(q)`.
+    """Add `Bs sin(q) + Bc cos(q)`; with two `harmonics` also `B2s sin(2 q) + B2c cos(2 q)`.
 
-    If gravity has a fixed direction in the parent link, it is dependent on the first moment of the
-    link.
+    One is the torque of a weight, or of a spring without free length. That of any force between a
+    point of the link and one of its parent is an odd function of the angle between both, whose
+    second harmonic is about `inner outer / (inner^2 + outer^2)` of the first, the third the square
+    of that.
+
+    If gravity has a fixed direction in the parent link, the first harmonic is dependent on the
+    first moment of the link.
     """
+
+    harmonics: NonlinearValue = None
 
     key = "balancer"
     position = 80
-    symbols = ("Bs", "Bc")
-    columns = ("sin(q)", "cos(q)")
-    formula = "Bs sin(q) + Bc cos(q)"
+    symbols = ("Bs", "Bc", "B2s", "B2c")
+    columns = ("sin(q)", "cos(q)", "(harmonics-1)*sin(2*q)", "(harmonics-1)*cos(2*q)")
+    formula = "Bs sin(q) + Bc cos(q) + B2s sin(2 q) + B2c cos(2 q), the latter for harmonics = 2"
+    nonlinear = (HARMONICS,)
     by_construction = True
     turns_over = True
+
+    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
+        """Return the harmonics, none above the highest; links imitate the first."""
+        second = self.value("harmonics") > 1.0
+        return (
+            {"sin(q)": 1.0},
+            {"cos(q)": 1.0},
+            {"sin(2*q)": 1.0} if second else {},
+            {"cos(2*q)": 1.0} if second else {},
+        )
 
 
 @drive_term

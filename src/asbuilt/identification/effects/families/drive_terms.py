@@ -22,10 +22,15 @@ TITLES = {
     "cable": "cable or other torque over position",
 }
 """Names of effects that stand for more than the term does."""
-SOUGHT: dict[str, dict[str, float]] = {"cable": {"order": 3.0}}
-"""Nonlinear parameters of terms that are sought in one form: a cubic is what bends a straight line
-to either side, and higher powers extrapolate worse. Even so a cubic once predicted another motion
-with 290 % of error where a balancer acted: such terms are named, and in a model if stated."""
+FORMS: dict[str, tuple[dict[str, float], ...]] = {
+    "cable": ({"order": 4.0},),
+    "balancer": ({"harmonics": 1.0}, {"harmonics": 2.0}),
+}
+"""Forms in which terms are sought. A cable and a force between two points have four columns each,
+so that the better curve has the name."""
+NAMED_ONLY = ("cable",)
+"""Terms that are in a model if stated: a power series once predicted another motion with 290 % of
+error where a balancer acted."""
 
 
 class DriveEffect(Effect):
@@ -33,8 +38,9 @@ class DriveEffect(Effect):
 
     def __init__(self, term: DriveTerm) -> None:
         """Take the term at every joint, its nonlinear parameters free."""
-        self.term = term.with_nonlinear(SOUGHT.get(term.key, {}))
-        self.in_model = term.key not in SOUGHT  # type: ignore[misc]
+        self.forms = [term.with_nonlinear(each) for each in FORMS.get(term.key, ({},))]
+        self.term = self.forms[0]
+        self.in_model = term.key not in NAMED_ONLY  # type: ignore[misc]
         self.key = term.key  # type: ignore[misc]
         self.title = TITLES.get(term.key, term.title)  # type: ignore[misc]
         self.kind = (  # type: ignore[misc]
@@ -58,9 +64,10 @@ class DriveEffect(Effect):
         joints = tuple(k for k in range(robot.model.n_joints) if own is None or not own.is_at(k))
         if not joints:
             return
-        n_columns = sum(bool(function) for function in term.functions())
-        for trial in _trials(term, robot):
-            yield Variant(self, n_columns, local=True, joints=joints, term=trial)
+        for form in self.forms:
+            n_columns = sum(bool(function) for function in form.functions())
+            for trial in _trials(form, robot):
+                yield Variant(self, n_columns, local=True, joints=joints, term=trial)
 
     def columns(self, variant: Variant, motion: Motion) -> list[Array]:
         """Return the term's columns at every joint's own state."""

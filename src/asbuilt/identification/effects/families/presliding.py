@@ -76,7 +76,7 @@ def _deflection(x: Array, length: float) -> Array:
     return z
 
 
-LENGTHS = (0.001, 0.004)
+LENGTHS = (0.001, 0.002, 0.004)
 """Trial displacements after which bristles slide, as shares of the range of positions."""
 
 
