@@ -23,7 +23,6 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.noise.spectrum import power_density
 from asbuilt.experiment.signal.resampling import GAP
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.errors.expected_scores import ExpectedScores
@@ -242,10 +241,12 @@ def position_noise(recording: Recording) -> Array:
     runs = [rows for rows in _runs(recording) if rows.size >= RULES.window]
     if not runs:
         return np.zeros(recording.q.shape[1])
-    high = np.fft.rfftfreq(RULES.window, 0.5) > RULES.above
-    parts = [
-        np.mean(power_density(recording.q[rows], 2.0, RULES.window)[high], axis=0) for rows in runs
-    ]
+    from scipy.signal import welch  # noqa: PLC0415 - light start
+
+    parts = []
+    for rows in runs:
+        frequency, density = welch(recording.q[rows], 2.0, nperseg=RULES.window, axis=0)
+        parts.append(np.mean(density[frequency > RULES.above], axis=0))
     weights = [rows.size for rows in runs]
     return np.asarray(np.sqrt(np.average(parts, axis=0, weights=weights)))
 

@@ -31,8 +31,6 @@ def power_density(
     """
     phase = np.linspace(-np.pi, np.pi, length + 1)[:-1]
     weights = sum(a * np.cos(k * phase) for k, a in enumerate(WINDOWS[window]))
-    # Scaled first and summed in order, so that the bits are those of `scipy.signal.welch`.
-    weights = weights * (1.0 / np.sqrt(sum(weights**2) * rate))
     parts = sliding_window_view(np.ascontiguousarray(x.T), length, axis=-1)
     parts = parts[:, :: length - length // 2]
     power = np.zeros((x.shape[1], length // 2 + 1))
@@ -43,6 +41,6 @@ def power_density(
             some = some - some.mean(axis=-1, keepdims=True)
         transform = fft.rfft(some * weights, axis=-1)
         power += np.sum(transform.real**2 + transform.imag**2, axis=1)
-    power /= parts.shape[1]
+    power /= parts.shape[1] * rate * np.sum(weights**2)
     power[:, 1 : (length + 1) // 2] *= 2.0
     return np.asarray(power.T, dtype=np.float64)
