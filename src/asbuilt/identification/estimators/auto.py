@@ -39,7 +39,12 @@ from asbuilt.identification.estimators.consistent_fit import (
 )
 from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
 from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.estimators.robust import continue_huber, outlying_share
+from asbuilt.identification.estimators.robust import (
+    continue_huber,
+    huber_loss,
+    outlying_share,
+    reweight,
+)
 from asbuilt.identification.information.candidate_choice import (
     Candidate,
     MotionChoice,
@@ -109,10 +114,10 @@ def estimate_auto(data: EstimationData) -> Estimate:
     reasons = []
     if data.samples is not None:
         sample = replace(data, every=max(1, data.information.n_samples // RULES.screened))
-        robust = continue_huber(sample, estimate)
+        robust = reweight(sample, huber_loss(), estimate, together=True)
         share, ratio = outlying_share(sample, robust)
         if share > RULES.outlying_share or ratio > RULES.outlying_variance:
-            estimate = robust if sample.every == 1 else continue_huber(data, estimate)
+            estimate = continue_huber(data, estimate)
             reasons.append(
                 f"huber: {100 * share:.2g} % of the torques are outliers, and the residual variance"
                 f" of one joint is {ratio:.3g} times the robust variance"

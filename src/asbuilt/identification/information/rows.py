@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -230,7 +231,20 @@ class Rows:
         self._block_seconds = block_seconds
         self._every = every
         self._held: list[RowBlock] | None = None
+        self._parts: list[tuple[Array, ...]] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
+
+    def parts(self) -> Iterator[tuple[Array, ...]]:
+        """Return the rows of the joints in few parts, the same every time: one if they are kept."""
+        if self._parts is None:
+            deque(self, maxlen=0)  # keeps them if they are few
+            every = zip(*(each.rows for each in self._held or ()), strict=True)
+            self._parts = [tuple(map(np.hstack, every))] if self._held else []
+        return iter(self._parts or self.by_block())
+
+    def by_block(self) -> Iterator[tuple[Array, ...]]:
+        """Yield the rows of the joints, block by block."""
+        yield from (each.rows for each in self)
 
     def __iter__(self) -> Iterator[RowBlock]:
         if self._held is not None:
