@@ -234,6 +234,23 @@ class Rows:
         self._parts: list[tuple[Array, ...]] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
 
+    def take_torque(self, samples: Sequence[Samples]) -> bool:
+        """Take the torque of other samples in place, if they are of the very motion that is kept.
+
+        Return whether they are.
+        """
+        own = tuple(self._samples)
+        if self._held is None or self._less or not all(map(_same_motion, own, samples)):
+            return False
+        parts = sample_blocks(self._plan.model, samples, self._block_seconds)
+        for part, block in zip(islice(parts, 0, None, self._every), self._held, strict=True):
+            for rows, torque in zip(
+                block.rows, part.filtered(part.samples.tau.__getitem__), strict=True
+            ):
+                rows[-1] = torque
+        self._samples, self._parts = samples, None
+        return True
+
     def parts(self) -> Iterator[tuple[Array, ...]]:
         """Return the rows of the joints in few parts, the same every time: one if they are kept."""
         if self._parts is None:
@@ -273,3 +290,13 @@ class Rows:
                     kept = None
             yield block
         self._held = kept
+
+
+def _same_motion(one: Samples, other: Samples) -> bool:
+    """Return whether samples differ at most by their torque, without contact."""
+    pairs = zip(
+        (one.t, one.q, one.qd, one.qdd), (other.t, other.q, other.qd, other.qdd), strict=True
+    )
+    alike = one.segments == other.segments and one.slowest == other.slowest
+    filters = one.parallel is other.parallel and one.contact is other.contact is None
+    return alike and filters and all(np.array_equal(x, y) for x, y in pairs)
