@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import triangular_factor
 
 SMALLEST_INFORMATION = 1e-11
 """Scaled information, relative to the largest, below which least squares determine nothing."""
@@ -124,14 +125,14 @@ def choose_candidate(
         ]
     )
     root = information.stacked(joint_weights)[:-1, :-1]
-    random_motion, whole = _determined(random_motion, root), root.T @ root
+    random_rows = triangular_factor(random_motion) / np.sqrt(len(random_motion))
+    random_rows, whole = _determined(random_rows, root), root.T @ root
     roots = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
     used = [each.T @ each for each in roots]
     held_rows = [
         held.stacked(joint_weights)[:-1, :-1] / np.sqrt(held.n_samples * n) for _, held in parts
     ]
     own = root / np.sqrt(information.n_samples * n)
-    random_rows = random_motion / np.sqrt(len(random_motion))
     beyond = np.empty(len(candidates))
     novelty, reach = 1.0, 1.0
     for c, each in enumerate(candidates):
