@@ -207,7 +207,6 @@ def _draft(
 
 def _columns_of(log: Path, sheet: RecordingSheet) -> LogTable:
     """Return the columns of a log, the first rows of a long one."""
-    from asbuilt.experiment.logs.formats.frames import numbers
     from asbuilt.experiment.logs.formats.log_format import log_format
     from asbuilt.experiment.logs.long_recordings import is_long
     from asbuilt.experiment.logs.readers import read_table
@@ -216,8 +215,8 @@ def _columns_of(log: Path, sheet: RecordingSheet) -> LogTable:
     header = None if stream is None else stream.header(log, sheet)
     if stream is None or header is None:
         return read_table([log], sheet)
-    for _, frame in stream.frames(log, sheet, tuple(header.columns), FIRST_ROWS):
-        return replace(header, columns={name: numbers(frame[name]) for name in header.columns})
+    for _, columns in stream.chunks(log, sheet, tuple(header.columns), FIRST_ROWS):
+        return replace(header, columns=columns)
     return header
 
 

@@ -17,7 +17,6 @@ from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.command.servo_torque import driven_by_command
 from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, logged_times
-from asbuilt.experiment.logs.formats.frames import numbers
 from asbuilt.experiment.logs.formats.log_format import LogStream, LogTable, log_format
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
 from asbuilt.experiment.logs.readers import (
@@ -89,8 +88,7 @@ def stream_recording(
     windowless = sheet.model_copy(update={"windows": []})
     origin: float | None = None
     start = 0.0
-    for first, frame in stream.frames(path, sheet, layout.columns, chunk_samples):
-        columns = {name: numbers(frame[name]) for name in layout.columns}
+    for first, columns in stream.chunks(path, sheet, layout.columns, chunk_samples):
         table = replace(header, columns=columns)
         if origin is None and layout.time is not None:
             t, origin = logged_times(table, layout)
@@ -108,8 +106,8 @@ def stream_recording(
 def _first_rows(stream: LogStream, header: LogTable, path: Path, sheet: RecordingSheet) -> LogTable:
     """Return the first rows of all numeric columns, by which an error drafts a sheet."""
     # Samples by which the draft of a sheet is made.
-    for _, frame in stream.frames(path, sheet, tuple(header.columns), 2000):
-        return replace(header, columns={name: numbers(frame[name]) for name in header.columns})
+    for _, columns in stream.chunks(path, sheet, tuple(header.columns), 2000):
+        return replace(header, columns=columns)
     return header
 
 

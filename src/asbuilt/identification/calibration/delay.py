@@ -256,6 +256,7 @@ class _Fits:
         self._prepare, self._block_seconds = prepare, block_seconds
         self._base = find_base_parameters(model, drive)
         self._design = design_values(model, self._base)
+        self._known: Rows | None = None
         self.longest = np.inf
 
     def predict_better(self, delays: Array) -> bool:
@@ -272,7 +273,10 @@ class _Fits:
         return self._prepare(wide)
 
     def _rows(self, samples: Sequence[Samples]) -> Rows:
-        return Rows(self.model, self._base, samples, self._block_seconds)
+        """Return the rows of samples, those of before but for the torque where delays are alike."""
+        if self._known is None or not self._known.take_torque(samples):
+            self._known = Rows(self.model, self._base, samples, self._block_seconds)
+        return self._known
 
     def _plain(self, rows: Rows) -> Estimate:
         """Return the plain weighted fit."""

@@ -171,7 +171,7 @@ class Selection:
         """
         self.equations, self.prior, self.weights = equations, prior, weights
         self._total = equations.stacked(weights)
-        self._held = [equations.stacked(weights, group) for group in groups]
+        self._without = [self._total - equations.stacked(weights, group) for group in groups]
         self._of_joints = [
             [
                 (np.append(support, equations.n_parameters), gram[group].sum(axis=0))
@@ -179,7 +179,12 @@ class Selection:
             ]
             for group in groups
         ]
-        self._blocks = [equations.stacked(weights, [b]) for b in range(equations.n_blocks)]
+        blocks = range(equations.n_blocks)
+        self._blocks = np.array([equations.stacked(weights, [b]) for b in blocks])
+        self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
+        self._place = np.full((equations.n_joints, equations.n_parameters), -1)
+        for place, support in zip(self._place, equations.support, strict=True):
+            place[support] = np.arange(len(support))
         self.taken: list[Candidate] = []
         self.held = equations.robot.model.has_masses
         """Whether CAD holds the bodies."""
@@ -337,8 +342,8 @@ class Selection:
         """
         none = np.zeros(0, dtype=np.int64)
         squares = []
-        for gram, joints in zip(self._held, self._of_joints, strict=True):
-            z = self._fit(self._total - gram, self._inside(taken), none).residual
+        for without, joints in zip(self._without, self._of_joints, strict=True):
+            z = self._fit(without, self._inside(taken), none).residual
             error = sum(float(z[places] @ own @ z[places]) for places, own in joints)
             torque = sum(float(own[-1, -1]) for _, own in joints)
             if torque > 0.0:
@@ -385,10 +390,11 @@ class Selection:
         """Return the RMS torque (n,) of a candidate with these values."""
         c, eq = candidate.places, self.equations
         energy = np.zeros(eq.n_joints)
-        for k, (support, gram) in enumerate(zip(eq.support, eq.of_joints, strict=True)):
-            own = np.flatnonzero(np.isin(support, c))
-            x = values[np.searchsorted(c, support[own])]
-            energy[k] = x @ gram[np.ix_(own, own)] @ x
+        for k, gram in enumerate(eq.of_joints):
+            own = self._place[k, c]
+            if np.any(acts := own >= 0):
+                own, x = own[acts], values[acts]
+                energy[k] = x @ gram[np.ix_(own, own)] @ x
         return np.sqrt(np.maximum(energy, 0.0) / max(int(eq.counts.sum()), 1))
 
     def trials(self, candidates: Iterable[Candidate]) -> list[Trial]:
@@ -399,6 +405,7 @@ class Selection:
         groups: dict[tuple[int, ...], list[Candidate]] = {}
         for each in candidates:
             groups.setdefault(tuple(each.replaces.tolist()), []).append(each)
+        self._factored.clear()
         start = self._cost(self._inside(self.taken))
         return [trial for own in groups.values() for trial in self._tried(own, start)]
 
@@ -410,13 +417,16 @@ class Selection:
         return np.concatenate([left, *(each.places for each in taken)]).astype(np.int64)
 
     def _fit(self, gram: Array, inside: Indices, columns: Indices) -> _Fit:
-        """Fit the parameters inside to normal equations."""
-        P, own = self.equations.n_parameters, np.flatnonzero(inside < self.equations.n_base)
-        A, b = self._normal(gram, inside)[0], gram[inside, -1].copy()
-        b[own] += (self.prior.information @ self.prior.mean)[inside[own]]
-        factor = cho_factor(A)
+        """Fit the parameters inside to the normal equations of all blocks, or without a group."""
+        P, key = self.equations.n_parameters, (id(gram), inside.tobytes())
+        if key not in self._factored:
+            factor, b = cho_factor(self._normal(gram, inside)[0]), gram[inside, -1].copy()
+            own = np.flatnonzero(inside < self.equations.n_base)
+            b[own] += (self.prior.information @ self.prior.mean)[inside[own]]
+            self._factored[key] = factor, cho_solve(factor, b)
+        factor, solution = self._factored[key]
         residual, moves = np.zeros(P + 1), np.zeros((P + 1, len(columns)))
-        residual[inside], residual[-1] = -cho_solve(factor, b), 1.0
+        residual[inside], residual[-1] = -solution, 1.0
         moves[inside] = cho_solve(factor, gram[np.ix_(inside, columns)])
         moves[columns, np.arange(len(columns))] -= 1.0
         return _Fit(residual, moves, -gram[columns, :-1] @ moves[:-1], gram[columns] @ residual)
@@ -435,8 +445,8 @@ class Selection:
         held = np.array(
             [
                 [x[places] @ own @ x[places] for places, own in joints]
-                for gram, joints in zip(self._held, self._of_joints, strict=True)
-                for x in (self._fit(self._total - gram, inside, none).residual,)
+                for without, joints in zip(self._without, self._of_joints, strict=True)
+                for x in (self._fit(without, inside, none).residual,)
             ]
         )
         x = self._fit(self._total, inside, none).residual
@@ -457,17 +467,25 @@ class Selection:
             return []
         columns = np.unique(np.concatenate([each.places for each, _ in gaining]))
         whole = self._fit(self._total, inside, columns)
+        # All other parameters are zero, and stay so.
+        moving = np.zeros(self.equations.n_parameters + 1, dtype=np.bool_)
+        moving[inside], moving[columns], moving[-1] = True, True, True
         parts: list[_HeldOut] = []
-        for gram, joints in zip(self._held, self._of_joints, strict=True):
-            fit = self._fit(self._total - gram, inside, columns)
-            H = [(fit.residual[p], fit.moves[p], own @ fit.moves[p], own) for p, own in joints]
+        for without, joints in zip(self._without, self._of_joints, strict=True):
+            fit = self._fit(without, inside, columns)
+            H = []
+            for places, gram in joints:
+                kept = moving[places]
+                p, own = places[kept], gram[np.ix_(kept, kept)]
+                H.append((fit.residual[p], fit.moves[p], own @ fit.moves[p], own))
             error = np.array([x @ own @ x for x, _, _, own in H])
             gradient = np.array([x @ own for x, _, own, _ in H])
             parts.append(
                 _HeldOut(fit, error, gradient, np.array([m.T @ own for _, m, own, _ in H]))
             )
-        by_block = np.array([whole.moves.T @ (gram @ whole.residual) for gram in self._blocks])
-        of_block = np.array([whole.moves.T @ gram @ whole.moves for gram in self._blocks])
+        blocks = self._blocks[:, np.flatnonzero(moving)[:, None], np.flatnonzero(moving)]
+        residual, moves = whole.residual[moving], whole.moves[moving]
+        by_block, of_block = blocks @ residual @ moves, moves.T @ blocks @ moves
         size = np.sqrt(np.diag(self._total))
         floor = np.finfo(np.float64).eps * np.array(
             [[own[-1, -1] for _, own in joints] for joints in self._of_joints]

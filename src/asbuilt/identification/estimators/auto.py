@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -12,8 +12,9 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.bodies.body_bounds import certain_bounds
+from asbuilt.identification.bodies.body_bounds import certain_bounds, generous_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.bodies.conic_fit import ConicProblem
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
     margin_is_consistent,
@@ -36,9 +37,14 @@ from asbuilt.identification.estimators.consistent_fit import (
     quietest_noise,
     supported_belief,
 )
-from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
+from asbuilt.identification.estimators.least_squares import estimate_wls, refuse_few_rows
 from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.estimators.robust import continue_huber, outlying_share
+from asbuilt.identification.estimators.robust import (
+    continue_huber,
+    huber_loss,
+    outlying_share,
+    reweight,
+)
 from asbuilt.identification.information.candidate_choice import (
     Candidate,
     MotionChoice,
@@ -46,7 +52,7 @@ from asbuilt.identification.information.candidate_choice import (
 )
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.factor_solution import solve_factor
+from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
 from asbuilt.identification.information.held_out import different_motions, folds
 from asbuilt.identification.information.random_motion import (
     random_motion_rows,
@@ -108,10 +114,10 @@ def estimate_auto(data: EstimationData) -> Estimate:
     reasons = []
     if data.samples is not None:
         sample = replace(data, every=max(1, data.information.n_samples // RULES.screened))
-        robust = continue_huber(sample, estimate)
+        robust = reweight(sample, huber_loss(), estimate, together=True)
         share, ratio = outlying_share(sample, robust)
         if share > RULES.outlying_share or ratio > RULES.outlying_variance:
-            estimate = robust if sample.every == 1 else continue_huber(data, estimate)
+            estimate = continue_huber(data, estimate)
             reasons.append(
                 f"huber: {100 * share:.2g} % of the torques are outliers, and the residual variance"
                 f" of one joint is {ratio:.3g} times the robust variance"
@@ -194,11 +200,7 @@ def _with_drive_prior(
     information: SquareRootInformation, free: Estimate, prior: CadPrior
 ) -> Estimate:
     """Return least squares with the prior of drive parameters, alike where they are determined."""
-    solved = solve_factor(
-        with_drive_rows(information.stacked(free.weights), information.base, prior),
-        information.n_rows,
-        information.base.regrouping @ prior.parameters,
-    )
+    solved = _with_drive_rows(information, free.weights, prior)
     of_data = replace(
         solved,
         rank=free.rank,
@@ -209,6 +211,17 @@ def _with_drive_prior(
     )
     return free.renewed(
         free.method, information, of_data, own_information=free.information, notes=free.notes
+    )
+
+
+def _with_drive_rows(
+    information: SquareRootInformation, weights: Array, prior: CadPrior
+) -> FactorSolution:
+    """Return the solution of least squares with the prior of drive parameters."""
+    return solve_factor(
+        with_drive_rows(information.stacked(weights), information.base, prior),
+        information.n_rows,
+        information.base.regrouping @ prior.parameters,
     )
 
 
@@ -247,6 +260,12 @@ def _candidates(
     """Return the candidates, the closest to CAD first, fitted without each part in turn."""
     candidates, of_joints, K = _Candidates(), consistent.weights, information.base.regrouping
     rough: dict[float, Array] = {}
+
+    def trainings() -> Iterator[SquareRootInformation]:
+        for each, _ in parts:
+            refuse_few_rows(each)
+            yield each
+
     if weights:
         path = EntropicPath.of(prior, Coordinates.of(information.base), certain_bounds(prior))
         factors = np.array(
@@ -269,27 +288,17 @@ def _candidates(
             partial(np.matmul, rough[weight][:-1], K.T),
             partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints),
         )
+    conic = ConicProblem.of(prior, K, generous_bounds(prior))
     candidates.add(
         "consistent",
         WEAKEST_BELIEF,
-        lambda: np.array(
-            [fit_consistent(training, prior, weights=of_joints).beta for training, _ in parts]
-        ),
+        lambda: np.array([K @ conic.fit(each.stacked(of_joints)).chi for each in trainings()]),
         lambda: consistent,
     )
     candidates.add(
         free.method,
         0.0,
-        lambda: np.array(
-            [
-                _with_drive_prior(
-                    training,
-                    fit_least_squares(training, weights=of_joints, prior=K @ prior.parameters),
-                    prior,
-                ).beta
-                for training, _ in parts
-            ]
-        ),
+        lambda: np.array([_with_drive_rows(each, of_joints, prior).x for each in trainings()]),
         lambda: free,
         certain=not free.undetermined and _is_consistent(information, free),
     )

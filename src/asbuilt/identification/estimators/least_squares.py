@@ -66,12 +66,7 @@ def fit_least_squares(
         If directions are undetermined without prior or refused, or rows are fewer than parameters.
     """
     n, rows = information.n_joints, information.n_rows
-    if rows <= information.base.n_base:
-        raise IdentifiabilityError(
-            f"{information.n_samples} samples of {n} joints give {rows} torques, too few for"
-            f" {information.base.n_base} parameters of {information.base.robot}",
-            cure=Cure("record longer, decimate less or choose fewer drive terms"),
-        )
+    refuse_few_rows(information)
     toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
     floor = noise_floor(information)
     iterated = isinstance(weights, str)
@@ -114,6 +109,17 @@ def fit_least_squares(
         iterations=iterations,
         converged=converged,
     )
+
+
+def refuse_few_rows(information: SquareRootInformation) -> None:
+    """Raise `IdentifiabilityError` for fewer torques than parameters."""
+    if information.n_rows <= information.base.n_base:
+        raise IdentifiabilityError(
+            f"{information.n_samples} samples of {information.n_joints} joints give"
+            f" {information.n_rows} torques, too few for {information.base.n_base} parameters of"
+            f" {information.base.robot}",
+            cure=Cure("record longer, decimate less or choose fewer drive terms"),
+        )
 
 
 class _Extrapolation:

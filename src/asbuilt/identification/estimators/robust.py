@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import ROW_WEIGHTS, estimator
@@ -113,16 +113,36 @@ def estimate_bisquare(data: EstimationData) -> Estimate:
     return _robust(data, "bisquare", bisquare_loss(), start, scale=start.sigma)
 
 
-def _robust(
-    data: EstimationData, name: str, loss: Loss, start: Estimate, scale: Array | None = None
-) -> Estimate:
-    information, rows = data.information, data.rows
+@dataclass(frozen=True, slots=True, eq=False)
+class Reweighted:
+    """Hold where the iteration of weights and scales ended: beta (p,) and robust sigma (n,)."""
+
+    beta: Array
+    sigma: Array
+    iterations: int
+    converged: bool
+
+
+def reweight(
+    data: EstimationData,
+    loss: Loss,
+    start: Estimate,
+    scale: Array | None = None,
+    *,
+    together: bool = False,
+) -> Reweighted:
+    """Repeat weighted least squares with weights by the residuals, from an estimate on.
+
+    The rows of all blocks `together` are faster, and round what data hardly determine otherwise.
+    """
+    information, support = data.information, data.rows.support
     root, beta = start.solution.inverse_root / start.weights.max(), start.beta
     floor = noise_floor(information)
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
+    parts = data.rows.parts if together else data.rows.by_block
     with one_blas_thread():
         while not converged and iterations < ROBUST.most_iterations:
-            residuals = _residuals(rows, beta)
+            residuals = _residuals(parts(), support, beta)
             if scale is None and iterations < ROBUST.scale_iterations:
                 sigma = np.array(
                     [
@@ -131,21 +151,32 @@ def _robust(
                     ]
                 ) + np.where(information.has_torque, 0.0, np.inf)
             gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
-            sums = [np.zeros((own.size, own.size + 1)) for own in rows.support]
-            for b, block in enumerate(rows):
-                for k, (columns, total) in enumerate(zip(block.rows, sums, strict=True)):
+            sums = [np.zeros((own.size, own.size + 1)) for own in support]
+            for b, rows in enumerate(parts()):
+                for k, (columns, total) in enumerate(zip(rows, sums, strict=True)):
                     weight = loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
                     weighted = columns[:-1] * weight
                     total[:, :-1] += weighted @ columns[:-1].T
                     total[:, -1] += weighted @ residuals[k][b]
-            for support, total in zip(rows.support, sums, strict=True):
-                gram += root[support].T @ total[:, :-1] @ root[support]
-                score += root[support].T @ total[:, -1]
+            for own, total in zip(support, sums, strict=True):
+                gram += root[own].T @ total[:, :-1] @ root[own]
+                score += root[own].T @ total[:, -1]
             step = np.linalg.lstsq(gram, score, rcond=None)[0]
             beta = beta + root @ step
             converged = bool(step @ gram @ step <= ROBUST.step**2)
             iterations += 1
-        residuals = _residuals(rows, beta)
+    return Reweighted(beta, sigma, iterations, converged)
+
+
+def _robust(
+    data: EstimationData, name: str, loss: Loss, start: Estimate, scale: Array | None = None
+) -> Estimate:
+    """Return the estimate that the iteration from a `start` reaches, with its errors."""
+    reached = reweight(data, loss, start, scale)
+    information, rows, sigma = data.information, data.rows, reached.sigma
+    root = start.solution.inverse_root / start.weights.max()
+    with one_blas_thread():
+        residuals = _residuals(rows.by_block(), rows.support, reached.beta)
         standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
         slope = np.array([max(float(np.mean(loss.slope(r))), ROBUST.least_slope) for r in standard])
         slope = slope * _slope_where_it_counts(rows, residuals, sigma, slope, loss, root)
@@ -183,8 +214,8 @@ def _robust(
         solved,
         fitted.solution,
         sigma=sigma,
-        iterations=iterations,
-        converged=converged,
+        iterations=reached.iterations,
+        converged=reached.converged,
         own_information=solved,
         notes=(note,),
     )
@@ -216,26 +247,23 @@ def _slope_where_it_counts(
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 
 
-def outlying_share(data: EstimationData, robust: Estimate) -> tuple[float, float]:
+def outlying_share(data: EstimationData, robust: Reweighted) -> tuple[float, float]:
     """Return the share of outliers, and the largest residual variance in robust variances."""
-    standard = [
-        _counting(e) / s
-        for e, s in zip(_residuals(data.rows, robust.beta), robust.sigma, strict=True)
-    ]
+    residuals = _residuals(data.rows.parts(), data.rows.support, robust.beta)
+    standard = [_counting(e) / s for e, s in zip(residuals, robust.sigma, strict=True)]
     share = float(np.mean([np.mean(np.abs(r) > ROBUST.outlying) for r in standard]))
     return share, max(float(np.mean(r**2)) for r in standard)
 
 
-def _residuals(rows: Rows, beta: Array) -> list[list[Array]]:
-    """Return residuals per joint and block."""
-    blocks = [
-        [
-            columns[-1] - beta[support] @ columns[:-1]
-            for columns, support in zip(block.rows, rows.support, strict=True)
-        ]
-        for block in rows
+def _residuals(
+    parts: Iterable[tuple[Array, ...]], support: Sequence[Indices], beta: Array
+) -> list[list[Array]]:
+    """Return residuals per joint and part of the rows."""
+    found = [
+        [columns[-1] - beta[own] @ columns[:-1] for columns, own in zip(rows, support, strict=True)]
+        for rows in parts
     ]
-    return [list(joint) for joint in zip(*blocks, strict=True)]
+    return [list(joint) for joint in zip(*found, strict=True)]
 
 
 def _counting(residuals: Sequence[Array]) -> Array:

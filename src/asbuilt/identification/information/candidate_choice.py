@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 
 from asbuilt.arrays import Array
 from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.information.triangular import triangular_factor
 
 SMALLEST_INFORMATION = 1e-11
 """Scaled information, relative to the largest, below which least squares determine nothing."""
@@ -123,20 +124,21 @@ def choose_candidate(
             for each in candidates
         ]
     )
-    whole = information.stacked(joint_weights)[:-1, :-1]
-    random_motion = _determined(random_motion, whole)
-    used = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
+    root = information.stacked(joint_weights)[:-1, :-1]
+    random_rows = triangular_factor(random_motion) / np.sqrt(len(random_motion))
+    random_rows, whole = _determined(random_rows, root), root.T @ root
+    roots = [training.stacked(joint_weights)[:-1, :-1] for training, _ in parts]
+    used = [each.T @ each for each in roots]
     held_rows = [
         held.stacked(joint_weights)[:-1, :-1] / np.sqrt(held.n_samples * n) for _, held in parts
     ]
-    own = whole / np.sqrt(information.n_samples * n)
-    random_rows = random_motion / np.sqrt(len(random_motion))
+    own = root / np.sqrt(information.n_samples * n)
     beyond = np.empty(len(candidates))
     novelty, reach = 1.0, 1.0
     for c, each in enumerate(candidates):
         weighted = each.weight * prior_information
         on_groups = np.array(
-            [_leverage(rows, root, weighted) for rows, root in zip(held_rows, used, strict=True)]
+            [_leverage(rows, gram, weighted) for rows, gram in zip(held_rows, used, strict=True)]
         )
         on_random = _leverage(random_rows, whole, weighted)
         beyond[c] = extrapolation_variance * max(on_random - float(on_groups.mean()), 0.0)
@@ -173,9 +175,9 @@ def _determined(rows: Array, root: Array) -> Array:
     return np.asarray(((rows / scale) @ kept.T) @ kept * scale)
 
 
-def _leverage(rows: Array, root: Array, prior: Array) -> float:
-    """Return the trace of `rows (root^T root + prior)^-1 rows^T`."""
-    gram = root.T @ root + prior
+def _leverage(rows: Array, gram: Array, prior: Array) -> float:
+    """Return the trace of `rows (gram + prior)^-1 rows^T`."""
+    gram = gram + prior
     size = np.sqrt(np.diag(gram))
     size[size == 0.0] = 1.0
     scaled, seen = gram / np.outer(size, size), rows / size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -230,7 +231,37 @@ class Rows:
         self._block_seconds = block_seconds
         self._every = every
         self._held: list[RowBlock] | None = None
+        self._parts: list[tuple[Array, ...]] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
+
+    def take_torque(self, samples: Sequence[Samples]) -> bool:
+        """Take the torque of other samples in place, if they are of the very motion that is kept.
+
+        Return whether they are.
+        """
+        own = tuple(self._samples)
+        if self._held is None or self._less or not all(map(_same_motion, own, samples)):
+            return False
+        parts = sample_blocks(self._plan.model, samples, self._block_seconds)
+        for part, block in zip(islice(parts, 0, None, self._every), self._held, strict=True):
+            for rows, torque in zip(
+                block.rows, part.filtered(part.samples.tau.__getitem__), strict=True
+            ):
+                rows[-1] = torque
+        self._samples, self._parts = samples, None
+        return True
+
+    def parts(self) -> Iterator[tuple[Array, ...]]:
+        """Return the rows of the joints in few parts, the same every time: one if they are kept."""
+        if self._parts is None:
+            deque(self, maxlen=0)  # keeps them if they are few
+            every = zip(*(each.rows for each in self._held or ()), strict=True)
+            self._parts = [tuple(map(np.hstack, every))] if self._held else []
+        return iter(self._parts or self.by_block())
+
+    def by_block(self) -> Iterator[tuple[Array, ...]]:
+        """Yield the rows of the joints, block by block."""
+        yield from (each.rows for each in self)
 
     def __iter__(self) -> Iterator[RowBlock]:
         if self._held is not None:
@@ -259,3 +290,13 @@ class Rows:
                     kept = None
             yield block
         self._held = kept
+
+
+def _same_motion(one: Samples, other: Samples) -> bool:
+    """Return whether samples differ at most by their torque, without contact."""
+    pairs = zip(
+        (one.t, one.q, one.qd, one.qdd), (other.t, other.q, other.qd, other.qdd), strict=True
+    )
+    alike = one.segments == other.segments and one.slowest == other.slowest
+    filters = one.parallel is other.parallel and one.contact is other.contact is None
+    return alike and filters and all(np.array_equal(x, y) for x, y in pairs)

@@ -7,12 +7,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-import polars as pl
 
+from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.frames import numbers, seconds_of_text
 from asbuilt.experiment.logs.formats.isolated import LIMITS
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
@@ -21,8 +22,14 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
 )
 from asbuilt.experiment.logs.formats.ros.topic_echo import is_topic_echo, read_topic_echo
+from asbuilt.experiment.logs.formats.series import columns_of, numbers, seconds_of_text
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.findings import Cure
+
+if TYPE_CHECKING:
+    import polars as pl
+else:
+    pl = lazy_loader.load("polars")
 
 _SEPARATORS = (",", ";", "\t", "|")
 _COMMENTS = ("#", "%")
@@ -456,9 +463,9 @@ def _header(path: Path, sheet: RecordingSheet) -> LogTable | None:
     return None if dialect.separator == "" else _header_of(path, dialect)
 
 
-def _frames(
+def _chunks(
     path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
-) -> Iterator[tuple[int, pl.DataFrame]]:
+) -> Iterator[tuple[int, dict[str, Array]]]:
     dialect = _dialect_of(path, sheet)
     # Polars reads far ahead of what is asked for; rows in quotes may span lines, which it must find
     parts = [None] if _holds(path, b'"') else _parts(path, dialect)
@@ -469,12 +476,12 @@ def _frames(
             for batch in rows.collect_batches(chunk_size=chunk_samples, maintain_order=True):
                 held = pl.concat([held, batch]) if held.height else batch
                 while held.height > chunk_samples:
-                    yield done, _with_times(path, held[:chunk_samples], dialect)
+                    yield done, columns_of(_with_times(path, held[:chunk_samples], dialect))
                     done, held = done + chunk_samples, held[chunk_samples:]
     except pl.exceptions.PolarsError as error:
         raise bad_cell(path, dialect, error) from error
     if held.height:
-        yield done, _with_times(path, held, dialect)
+        yield done, columns_of(_with_times(path, held, dialect))
 
 
 def _is_echo(path: Path, sheet: RecordingSheet) -> bool:
@@ -494,6 +501,6 @@ FORMATS.register(
     LogFormat(
         suffixes=(".csv", ".dat", ".tsv", ".txt"),
         read=_read,
-        stream=LogStream(header=_header, frames=_frames, n_bytes=lambda path: path.stat().st_size),
+        stream=LogStream(header=_header, chunks=_chunks, n_bytes=lambda path: path.stat().st_size),
     ),
 )

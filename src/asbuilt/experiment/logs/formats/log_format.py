@@ -15,8 +15,6 @@ from asbuilt.findings import Cure
 from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
-    import polars as pl
-
     from asbuilt.experiment.logs.sheet import RecordingSheet
 
 REPACKED: Mapping[str, str] = {
@@ -75,15 +73,16 @@ class LogStream:
     ----------
     header
         Return the table of a file without its rows; None if it must be read whole.
-    frames
-        Yield the index of the first row and the frame of the given columns, for each chunk of so
-        many rows.
+    chunks
+        Yield the index of the first row and the given columns, for each chunk of so many rows.
     n_bytes
         Return about how much memory a file takes.
     """
 
     header: Callable[[Path, RecordingSheet], LogTable | None]
-    frames: Callable[[Path, RecordingSheet, Sequence[str], int], Iterator[tuple[int, pl.DataFrame]]]
+    chunks: Callable[
+        [Path, RecordingSheet, Sequence[str], int], Iterator[tuple[int, dict[str, Array]]]
+    ]
     n_bytes: Callable[[Path], float]
 
 

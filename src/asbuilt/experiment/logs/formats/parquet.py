@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-import polars as pl
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.frames import numbers
 from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
@@ -20,8 +20,14 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogStream,
     LogTable,
 )
+from asbuilt.experiment.logs.formats.series import columns_of
 from asbuilt.findings import Cure
 from asbuilt.untrusted import check_regular, reason
+
+if TYPE_CHECKING:
+    import polars as pl
+else:
+    pl = lazy_loader.load("polars")
 
 LARGEST = 1e12
 """Bytes of the largest Parquet file, which is read in chunks."""
@@ -66,12 +72,12 @@ def read_parquet(path: Path) -> LogTable:
     """
     scanned, numeric, order = scan_parquet(path)
     frame = scanned.select(numeric).collect()
-    return _table(path, {name: numbers(frame[name]) for name in numeric}, order)
+    return _table(path, columns_of(frame), order)
 
 
-def _frames(
+def _chunks(
     path: Path, columns: Sequence[str], chunk_samples: int
-) -> Iterator[tuple[int, pl.DataFrame]]:
+) -> Iterator[tuple[int, dict[str, Array]]]:
     """Read chunks in this process, whose damage ends in an error too."""
     rows, header = _declared(path)
     missing = [name for name in columns if name not in header.columns]
@@ -93,7 +99,7 @@ def _frames(
                 file=str(path),
             ) from None
         for first in range(0, frame.height, chunk_samples):
-            yield begin + first, frame.slice(first, chunk_samples)
+            yield begin + first, columns_of(frame.slice(first, chunk_samples))
 
 
 def parquet_header(path: Path) -> LogTable:
@@ -151,7 +157,7 @@ FORMATS.register(
         read=lambda path, sheet: read_isolated(read_parquet, path),
         stream=LogStream(
             header=lambda path, sheet: _declared(path)[1],
-            frames=lambda path, sheet, columns, size: _frames(path, columns, size),
+            chunks=lambda path, sheet, columns, size: _chunks(path, columns, size),
             n_bytes=_n_bytes,
         ),
     ),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import lazy_loader
 import numpy as np
-import polars as pl
 
 from asbuilt.arrays import Array
 from asbuilt.description.joint_matching import names_gripper
@@ -24,6 +24,11 @@ from asbuilt.experiment.logs.formats.log_format import (
 from asbuilt.experiment.logs.sheet import RATES, RecordingSheet
 from asbuilt.findings import Cure
 from asbuilt.untrusted import check_regular, parsed_json, reason, shortened
+
+if TYPE_CHECKING:
+    import polars as pl
+else:
+    pl = lazy_loader.load("polars")
 
 INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"
