@@ -153,6 +153,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "result.json"
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("time_limit", [1e-6, pytest.param(1, marks=pytest.mark.study)])
 def test_an_earlier_result_leaves_less_to_find(
     capsys, tmp_path: Path, first: Path, time_limit: float

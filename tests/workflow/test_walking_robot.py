@@ -42,6 +42,7 @@ def test_a_sound_log_has_no_errors(solo: RobotModel, log: Recording) -> None:
     assert errors(solo, log) == []
 
 
+@pytest.mark.study
 def test_errors_of_a_real_log_are_named(solo: RobotModel, log: Recording) -> None:
     assert log.qd is not None
     assert log.contact is not None

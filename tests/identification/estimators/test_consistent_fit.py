@@ -220,6 +220,7 @@ def test_given_weight_bounds_and_joint_weights(trial):
         fit_toward_cad(case.information, case.prior, metric="manhattan")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("method", ["consistent", "entropic"])
 def test_errors_are_not_too_small(trial, method):
     """Over repeated noise, and with a truth as far from CAD as its own weight says, the estimate
@@ -338,6 +339,7 @@ def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
         assert estimate.part > 0
 
 
+@pytest.mark.study
 def test_result_says_method_margin_and_weight(shared):
     model, train, _ = med7(shared, "measurements_with_ext_tau_1_dgr.csv", "blocks:5s:3")
     for method in ("consistent", "entropic", "euclidean"):

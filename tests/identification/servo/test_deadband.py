@@ -70,6 +70,7 @@ def test_no_deadband_is_found_where_there_is_none(seed):
     assert found.errors.deadband == 0.0
 
 
+@pytest.mark.study
 def test_a_deadband_is_found_without_gains():
     found = estimated(1, WIDTH, kp=(np.nan,) * 3)
     assert found.servo.deadband == pytest.approx((WIDTH,) * 3, rel=0.15)

@@ -141,6 +141,7 @@ def test_gains_of_position_actuators_are_read():
     assert servo.kd == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.study
 def test_stiffness_does_not_share_gravity_with_a_constant_torque(recording):
     driven = driven_by_command(recording, unknown())
     chain = resolve_chain(SignalChain(), driven)
@@ -202,6 +203,7 @@ def test_a_limit_of_the_goal_is_found_and_counts():
     assert found.of_recording(0) == found.servo
 
 
+@pytest.mark.study
 def test_no_limit_of_the_goal_is_found_where_there_is_none(recording):
     for each in (recording, limited_recording(np.inf)):
         found = sought(each)

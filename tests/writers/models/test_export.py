@@ -269,6 +269,7 @@ def test_drive_values_that_were_not_identified_are_said(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.study
 def test_a_study_leaves_the_edited_urdf_behind(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

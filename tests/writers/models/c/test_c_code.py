@@ -103,6 +103,7 @@ def test_bundled_robots(name: str, tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(bundled_robot(name), 3))
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["lbrstack_med7.urdf", "mjcf_iiwa14.xml"])
 def test_descriptions_of_strangers(shared: Path, name: str, tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(load_robot(shared / "models" / name), 4))
@@ -173,6 +174,7 @@ def test_hostile_names_stay_text(example: Any, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.study
 def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     model = bundled_robot("ur10e")
     coupling = np.eye(6)
