@@ -61,6 +61,7 @@ def test_a_deadband_is_found_and_named(seed):
     assert "no torque within" in servo_notes(read_mjcf(ROBOT), found)[0]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.study) for seed in (2, 3))]
 )
