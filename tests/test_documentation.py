@@ -59,7 +59,7 @@ def command_lines() -> list[tuple[str, str]]:
         (page.name, line)
         for page in PAGES
         for block in blocks(page, "(?:sh|bash|console)?")
-        for line in block.splitlines()
+        for line in block.replace("\\\n", "").splitlines()
     ]
     lines = [(page, line.removeprefix("$ ")) for page, line in lines]
     return [(page, line) for page, line in lines if re.match(r"asbuilt [a-z]+( |$)", line)]

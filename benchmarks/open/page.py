@@ -79,7 +79,7 @@ def cell(kind: str, row: Row | None, best: float | None) -> str:
         text = shown(kind, value)
         if kind == "virtual":
             covered = row.get("coverage")
-            text += "" if covered is None else f"; {100 * covered:.0f} % hold"
+            text += "" if covered is None else f"<br>{100 * covered:.0f} % hold"
     return f"**{text}**" if value == best else text
 
 
@@ -147,15 +147,15 @@ def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> 
     lines = [
         "| tool | version | tasks answered | physically consistent | mass over CAD | CPU, median"
         " | lines |",
-        "|---|---|---:|---:|---|---:|---:|",
+        "|---|---|---:|---:|---:|---:|---:|",
     ]
+    silent = []
     for name, tool in tools().items():
         rows = [row for task in shown if (row := results.get((task, name)))]
         done = [row for row in rows if row.get("cpu_seconds") is not None]
         if not done:
             reason = tool.cannot.get("*", "no result in this run")
-            reason = " ".join(reason.split())
-            lines.append(f"| [{tool.title}]({tool.address}) | {MISSING} | 0 | {reason} | | | |")
+            silent.append(f"No task is one for [{tool.title}]({tool.address}): it {reason}.")
             continue
         physical = [row["consistent"] for row in done if row.get("consistent") is not None]
         masses = [row["mass_ratio"] for row in done if row.get("mass_ratio") is not None]
@@ -167,7 +167,7 @@ def _tool_table(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> 
             f" {f'{min(masses):.2f} to {max(masses):.2f}' if masses else MISSING} |"
             f" {cpu:.1f} s | {tool.lines} |"
         )
-    return "\n".join(lines)
+    return "\n".join(["\n".join(lines), *(f"\n{each}" for each in silent)])
 
 
 def _task_sections(shown: dict[str, Task], results: dict[tuple[str, str], Row]) -> str:
@@ -198,7 +198,7 @@ def _task_section(task: Task, results: dict[tuple[str, str], Row]) -> str:
         lines += [f"![Error by tool](../built/benchmark/{task.name}.png)", ""]
     lines += [
         "| tool | result | mass over CAD | consistent | CPU | note |",
-        "|---|---|---|---|---|---|",
+        "|---|---:|---:|---|---:|---|",
     ]
     for name, row in own.items():
         if row is not None and "*" not in tools()[name].cannot:

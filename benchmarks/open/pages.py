@@ -8,6 +8,7 @@ the numbers, as a prior for a robot of the type (`identify --siblings`).
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -106,23 +107,46 @@ def _verdict(error: float, cad: float | None) -> str:
     )
 
 
+def _found(numbers: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return name, joint, value and fall of the torque error of the effects that the model has."""
+    found = []
+    for each in numbers["effects"]:
+        if each["in_model"]:
+            what, fall = each["text"].split(": torque error ")
+            name, joint, value = re.fullmatch(r"(.+?)(?: at (\S+))? (-?\d.*)", what).groups()  # type: ignore[union-attr]
+            value = value.replace("+/-", "±").removesuffix(" 1")
+            found.append((name, joint or "root", value, fall.replace("->", "→")))
+    return found
+
+
 def _wrong(numbers: dict[str, Any]) -> str:
-    lines = [f"- {each['text']}" for each in numbers["effects"] if each["in_model"]]
+    parts = []
+    if found := _found(numbers):
+        head = "| effect that it lacks | where | value ± standard error | torque error |"
+        parts.append(
+            "\n".join([head, "|---|---|---|---:|", *(f"| {' | '.join(e)} |" for e in found)])
+        )
     masses = numbers["masses"]
     if masses and masses["cad"]:
-        lines.append(
-            f"- moving links: {masses['cad']:.4g} kg in the description,"
-            f" {masses['as_built']:.4g} kg in the robot closest to it with these torques"
-        )
-        for each in masses["links"]:
-            if not each["cad"]:
-                continue
-            ratio = each["as_built"] / each["cad"]
-            if max(ratio, 1.0 / max(ratio, 1e-9)) > MUCH:
-                lines.append(
-                    f"- {each['name']}: {each['cad']:.3g} kg there, {each['as_built']:.3g} kg here"
-                )
-    return "\n".join(lines) or "Nothing that these logs show beyond friction."
+        parts.append(_masses(masses))
+    return "\n\n".join(parts) or "Nothing that these logs show beyond friction."
+
+
+def _masses(masses: dict[str, Any]) -> str:
+    """Return the mass of all moving links and of those that differ much."""
+    everything = {"name": "all moving links"} | {key: masses[key] for key in ("cad", "as_built")}
+    lines = ["| mass [kg] | description | as built |", "|---|---:|---:|"]
+    for each in (everything, *masses["links"]):
+        ratio = each["as_built"] / each["cad"] if each["cad"] else 1.0
+        if each is everything or max(ratio, 1.0 / max(ratio, 1e-9)) > MUCH:
+            lines.append(f"| {each['name']} | {each['cad']:.4g} | {each['as_built']:.4g} |")
+    return "\n".join(
+        [
+            "Masses of the robot that is closest to the description and has these torques: all of"
+            " it, and links that differ by more than a fifth.\n",
+            *lines,
+        ]
+    )
 
 
 def _drives(numbers: dict[str, Any]) -> str:
@@ -153,8 +177,8 @@ def _rests(task: Task, numbers: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"- {many}; another of the type differs in friction and mounting",
-            f"- logs of [{source.repository}]({source.repository}){commit} ({source.licence}):"
-            f" {_names(task.training)}; tested on {_names(task.test)}",
+            f"- logs of [{source.repository}]({source.repository}){commit} (licence:"
+            f" {source.licence}): {_names(task.training)}; tested on {_names(task.test)}",
             f"- {numbers['duration']:.0f} s fitted, method `{numbers['method']}`;"
             f" [the benchmark](../benchmark/index.md#{task.name}) has the other tools",
         ]
@@ -162,7 +186,7 @@ def _rests(task: Task, numbers: dict[str, Any]) -> str:
 
 
 def _index_line(task: Task, numbers: dict[str, Any], error: float, cad: float | None) -> str:
-    named = sorted({each["effect"] for each in numbers["effects"] if each["in_model"]})
+    named = sorted({name for name, *_ in _found(numbers)})
     described = MISSING if cad is None else f"{LETTERS.letter(cad)} ({share(cad)})"
     masses = numbers["masses"]
     ratio = MISSING

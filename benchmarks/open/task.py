@@ -86,7 +86,10 @@ def read_task(path: Path) -> Task:
 
 def tasks() -> dict[str, Task]:
     """Return all tasks by name."""
-    return {path.stem: read_task(path) for path in sorted((HERE / "tasks").glob("*.toml"))}
+    return {
+        path.stem: read_task(path)
+        for path in sorted((HERE / "tasks").glob("*.toml"), key=lambda each: each.stem)
+    }
 
 
 def download(task: Task, data: Path) -> list[str]:

@@ -257,6 +257,7 @@ def test_every_output_says_how_errors_were_judged(
         assert f"the choice of {found['method']}" in sentence
 
 
+@pytest.mark.study
 def test_json_is_strict_and_alone_on_stdout(recorded: dict[str, Path]) -> None:
     command = [
         sys.executable,
@@ -461,6 +462,7 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
     assert call(capsys, *by_current, "--gain-uncertainty", "90%")[0] == 2
 
 
+@pytest.mark.study
 def test_simulate_on_the_engine_with_a_tool_and_let_go(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -60,6 +60,7 @@ def test_drives_are_listed(capsys):
     assert "auto" in out
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("robot", ["scara"])
 def test_terms_are_chosen_or_given_for_any_robot(capsys, tmp_path, robot):
     recording = log(tmp_path / "log.csv", robot, driven([0.5, 1.0, 0.15, 0.1]))
@@ -141,9 +142,15 @@ def weighing(pair: tuple[Path, Path]) -> tuple[object, ...]:
 @pytest.mark.parametrize(
     ("sheet", "gain", "flip", "sign"),
     [
-        (None, None, False, 1),
+        pytest.param(None, None, False, 1, marks=pytest.mark.study),
         pytest.param("gains = 20", "7,8,9,10,11,12", False, 1, marks=pytest.mark.study),
-        ("sign = [-1, 1, 1, 1, 1, 1]\ngains = 8", None, False, [-1, 1, 1, 1, 1, 1]),
+        pytest.param(
+            "sign = [-1, 1, 1, 1, 1, 1]\ngains = 8",
+            None,
+            False,
+            [-1, 1, 1, 1, 1, 1],
+            marks=pytest.mark.study,
+        ),
         ("sign = -1\ngains = 8", "-3", True, 1),
     ],
 )

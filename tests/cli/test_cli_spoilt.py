@@ -101,6 +101,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("fault", "said"), FAULTS)
 def test_spoilt_recordings_give_no_numbers(
     capsys: pytest.CaptureFixture[str],
@@ -134,6 +135,7 @@ def test_spoilt_recordings_give_no_numbers(
         assert not out, command
 
 
+@pytest.mark.study
 def test_a_payload_is_weighed_whatever_the_checks_say(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, logs: tuple[Path, Path, Path], result: Path
 ) -> None:
@@ -167,6 +169,7 @@ def test_the_payload_found_along_with_the_arm_is_among_the_files(
     assert written["mass"]["estimate"] == pytest.approx(MASS, rel=0.02)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("columns", "signs", "said"),
     [

@@ -30,12 +30,17 @@ def completed(line: str, folder: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("asbuilt ide", ["identify"]),
-        ("asbuilt identify ", list(robot_names())),
-        ("asbuilt identify kuka", [name for name in robot_names() if name.startswith("kuka")]),
         ("asbuilt show my", ["my_arm.urdf"]),
         ("asbuilt identify scara log.csv --method ", list(methods)),
-        ("asbuilt identify scara log.csv --mounting e", ["estimate"]),
+        *(
+            pytest.param(line, expected, marks=pytest.mark.study)
+            for line, expected in (
+                ("asbuilt ide", ["identify"]),
+                ("asbuilt identify ", list(robot_names())),
+                ("asbuilt identify kuka", [n for n in robot_names() if n.startswith("kuka")]),
+                ("asbuilt identify scara log.csv --mounting e", ["estimate"]),
+            )
+        ),
     ],
 )
 def test_completion(tmp_path: Path, line: str, expected: list[str]) -> None:

@@ -18,6 +18,7 @@ from asbuilt.excitation.collision.constraint import constraints_of
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motions.motion_csv import read_motion
 from command_line import call
+from studied_cases import first_of
 
 FIELDS = {
     "robot",
@@ -37,12 +38,15 @@ FIELDS = {
 
 @pytest.mark.parametrize(
     ("robot", "options"),
-    [
-        ("two-link", ()),
-        ("scara", ("--parametrisation", "point-to-point", "--rate", 1000)),
-        ("ur10e", ("--static", 8)),
-        ("franka-panda", ("--collision", "skeleton:0.05", "--drive", "viscous")),
-    ],
+    first_of(
+        2,
+        [
+            ("two-link", ()),
+            ("scara", ("--parametrisation", "point-to-point", "--rate", 1000)),
+            ("ur10e", ("--static", 8)),
+            ("franka-panda", ("--collision", "skeleton:0.05", "--drive", "viscous")),
+        ],
+    ),
 )
 def test_json_has_the_promised_fields_and_the_file_holds_the_motion(
     capsys, tmp_path: Path, robot: str, options
@@ -153,6 +157,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "result.json"
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("time_limit", [1e-6, pytest.param(1, marks=pytest.mark.study)])
 def test_an_earlier_result_leaves_less_to_find(
     capsys, tmp_path: Path, first: Path, time_limit: float

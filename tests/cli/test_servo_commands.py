@@ -80,6 +80,7 @@ def test_a_described_robot_has_a_page_too(
     assert "by CAD" in Path(found["files"]["rollout"]).read_text()
 
 
+@pytest.mark.study
 def test_an_animation_needs_a_rollout(
     study: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,7 +40,16 @@ RESULTS: dict[str, Callable[[], IdentificationResult]] = {
 }
 
 
-@pytest.fixture(scope="module", params=[*RESULTS])
+SIMILAR = ("iiwa, load friction", "SCARA, a sliding joint")
+"""Whose parts the others have too."""
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, marks=pytest.mark.study if name in SIMILAR else ()) for name in RESULTS
+    ],
+)
 def result(request: pytest.FixtureRequest) -> IdentificationResult:
     return RESULTS[request.param]()
 

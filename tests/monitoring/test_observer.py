@@ -104,6 +104,7 @@ def test_filtered_positions_serve_without_velocities(watched: WatchedRobot) -> N
     assert abs(seen.residual[late, 1].mean() - 10.0) < 0.5
 
 
+@pytest.mark.study
 def test_force_of_another_engine_is_found_with_its_point() -> None:
     """MuJoCo pushes a link of a moving arm; force and line of action follow from the torques."""
     model = bundled_robot("kuka-iiwa7-r800")

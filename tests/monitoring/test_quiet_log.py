@@ -11,6 +11,7 @@ import pytest
 from command_line import call, document
 
 
+@pytest.mark.study
 def test_a_log_without_noise_sets_thresholds_and_shows_a_push(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -64,7 +64,7 @@ GROUPS = (
     *("deep sheets", "csv logs", "motions", "options"),
     *("deep", "logs", "sheets"),
 )
-SLOW = ("deep", "logs", "sheets")
+SLOW = ("csv logs", "deep", "logs", "sheets")
 """Groups that take seconds."""
 
 
@@ -129,9 +129,11 @@ def test_text_and_options(
 @pytest.mark.parametrize(
     "suffix",
     [
-        ".npz",
         ".h5",
-        *(pytest.param(suffix, marks=pytest.mark.study) for suffix in (".mat", ".parquet", ".db3")),
+        *(
+            pytest.param(suffix, marks=pytest.mark.study)
+            for suffix in (".npz", ".mat", ".parquet", ".db3")
+        ),
     ],
 )
 def test_damaged_binary_logs(

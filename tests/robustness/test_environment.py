@@ -19,6 +19,7 @@ def environment(**more: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)} | more
 
 
+@pytest.mark.study
 def test_ascii_output() -> None:
     told = subprocess.run(
         [*ASBUILT, "base", "two-link"], env=environment(PYTHONIOENCODING="ascii", PYTHONUTF8="0"),
@@ -32,15 +33,16 @@ def test_ascii_output() -> None:
 @pytest.mark.parametrize(
     ("words", "where"),
     [
-        ("show two-link", ">/dev/full"),
         ("show two-link", "--json >&-"),
-        ("show two-link", "| head -c 1"),
         ("-h", ">&-"),
         ("-h", "0<&- >&- 2>&-"),
         *(
             pytest.param(words, where, marks=pytest.mark.study)
             for words, ways in (
-                ("show two-link", (">&-", "2>&-", ">&- 2>&-", "0<&- >&- 2>&-")),
+                (
+                    "show two-link",
+                    (">/dev/full", "| head -c 1", ">&-", "2>&-", ">&- 2>&-", "0<&- >&- 2>&-"),
+                ),
                 ("-h", (">/dev/full", "2>&-", ">&- 2>&-", "| head -c 1")),
             )
             for where in ways
@@ -67,8 +69,10 @@ def test_output_that_goes_nowhere(words: str, where: str) -> None:
     "where",
     [
         "2>/dev/full",
-        "--json >&-",
-        *(pytest.param(where, marks=pytest.mark.study) for where in ("2>&-", ">&- 2>&-")),
+        *(
+            pytest.param(where, marks=pytest.mark.study)
+            for where in ("--json >&-", "2>&-", ">&- 2>&-")
+        ),
     ],
 )
 def test_errors_that_go_nowhere(where: str) -> None:
@@ -99,7 +103,9 @@ def test_no_writable_cache(tmp_path: Path) -> None:
 
 
 @LINUX
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.study)]
+)
 def test_workers_die_with_their_parent(how: int) -> None:
     code = (
         "from asbuilt.excitation.design.multistart import open_pool; import time\n"

@@ -21,7 +21,10 @@ def described(viscous: float, coulomb: float) -> RobotModel:
     return replace(MODEL, joints=joints, drives_by_design=False)
 
 
-@pytest.mark.parametrize(("viscous", "coulomb", "helps"), [(0.05, 0.2, True), (9.0, 9.0, False)])
+@pytest.mark.parametrize(
+    ("viscous", "coulomb", "helps"),
+    [pytest.param(0.05, 0.2, True, marks=pytest.mark.study), (9.0, 9.0, False)],
+)
 def test_cad_has_its_drives_where_they_help(viscous: float, coulomb: float, helps: bool) -> None:
     """The second road predicts the description alone, with its drives or without."""
     model = described(viscous, coulomb)

@@ -65,6 +65,7 @@ def test_free_motion_is_that_of_mujoco(name: str) -> None:
     np.testing.assert_allclose(there, own, atol=3e-3 * np.abs(own).max())
 
 
+@pytest.mark.study
 def test_encoders_that_contradict_the_loops_are_named_with_joint_and_time() -> None:
     model = bundled_robot("four-bar")
     motion = random_fourier(model, rng=0, duration=8.0)

@@ -63,6 +63,7 @@ def test_held_out_blocks_come_before_other_recordings(recordings: list[Recording
     )
 
 
+@pytest.mark.study
 def test_without_held_out_data_the_result_says_so(recordings: list[Recording]) -> None:
     study = identify(load_robot("scara"), recordings, options=StudyOptions(holdout=None))
     assert "nothing_held_out" in {warning.code for warning in study.findings}

@@ -133,6 +133,7 @@ def test_another_description_takes_the_place_of_cad(slow: Recording, slow_study:
     assert not np.allclose(other.predicted_cad, one.predicted_cad)
 
 
+@pytest.mark.study
 def test_a_robot_as_described_is_validated_too(slow: Recording, slow_study: Study) -> None:
     (metrics,) = validate_robot(ARM, slow)
     assert metrics.source == slow.source

@@ -91,6 +91,7 @@ def test_mcap_holds_joint_states_and_logs(
     )
 
 
+@pytest.mark.study
 def test_recordings_have_topics_of_their_own(timelines: list[Timeline], tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader")
     pytest.importorskip("rosbags.typesys")

@@ -145,6 +145,7 @@ def test_a_link_that_gravity_turns_does_not_act_through_its_inertia_alone() -> N
     )
 
 
+@pytest.mark.study
 def test_sentences_on_gravity_agree_with_the_torque_of_robots_at_rest() -> None:
     """Random small robots: who acts through inertia alone has no torque at rest, and the others."""
     rng, said = np.random.default_rng(4), {"alone": 0, "gravity": 0}

@@ -5,11 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.base.regrouping import AXIAL, structural_regrouping, symbolic_regrouping
 from asbuilt.dynamics.drives.selection import DriveSet
+
+from .test_base_parameters_random import assert_regroups, first_independent, stacked
 
 
 def test_axial_directions_span_exactly_the_masses_on_the_axis() -> None:
@@ -42,3 +47,21 @@ def test_a_row_in_symbols_that_is_not_the_numbers_keeps_the_numbers() -> None:
         matrix = found.matrix.copy()
         matrix[b, j] += share * np.abs(matrix[b]).max()
         assert has_letters(matrix) == [*every[:b], kept, *every[b + 1 :]]
+
+
+@pytest.mark.parametrize("light", [(0,), (1,), (2,), (0, 2), (1, 2)])
+def test_links_without_mass_have_no_columns_and_leave_others_their_own(light):
+    robot = robot_from_dh(
+        [DHRow(b=0.3, alpha=np.pi / 2), DHRow(a=0.4), DHRow(a=0.3, alpha=0.6), DHRow(b=0.1)],
+        name="elbow",
+    )
+    links = [replace(link, negligible=k in light) for k, link in enumerate(robot.links)]
+    bare = replace(robot, links=tuple(links))
+    drive = DriveSet.parse("armature,viscous")
+    Y, columns = stacked(bare, drive), [10 * k + j for k in light for j in range(10)]
+    Y[:, columns] = 0.0
+    base = find_base_parameters(bare, drive)
+    assert base.columns.tolist() == first_independent(Y)
+    assert_regroups(base, Y)
+    assert not base.regrouping[:, columns].any()
+    assert base.symbolic == base.expressions

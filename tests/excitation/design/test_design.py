@@ -50,6 +50,7 @@ def alone(arm):
     return design_motion(model, options, cores=1, with_bound=False)
 
 
+@pytest.mark.study
 def test_a_design_beats_fifty_random_motions(arm) -> None:
     model, design = arm
     found = log_det_of(model, design.motion)
@@ -148,6 +149,7 @@ def test_other_families_respect_the_limits_too(parametrisation: str, size: int) 
     assert design.motion.duration <= 8.0 + 1e-9
 
 
+@pytest.mark.study
 def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
     model, design = arm
     focused = design_motion(model, replace(QUICK, focus=("Izz2", "11")), with_bound=False)
@@ -195,6 +197,7 @@ def test_what_is_known_already_need_not_be_told_again(arm) -> None:
         design_motion(model, QUICK, prior=np.eye(3))
 
 
+@pytest.mark.study
 def test_criteria_win_at_their_own_game(arm) -> None:
     model, design = arm
     even = design_motion(model, replace(QUICK, criterion="condition"), with_bound=False)

@@ -238,7 +238,7 @@ def by_current(request: pytest.FixtureRequest) -> tuple[VirtualRobot, Samples, S
     return robot, prepared(robot, 1, 30.0), prepared(robot.with_tool(TOOL, at=frame), 3), frame
 
 
-@pytest.mark.parametrize("arm", ["refined", "frozen"])
+@pytest.mark.parametrize("arm", [pytest.param("refined", marks=pytest.mark.study), "frozen"])
 def test_what_gains_do_to_a_payload_is_seen_by_changing_them(
     by_current: tuple[VirtualRobot, Samples, Samples, str], arm: Literal["refined", "frozen"]
 ) -> None:

@@ -160,6 +160,7 @@ def test_a_recording_shorter_than_the_filter_determines_no_nonlinear_parameters(
         settle_drive(model, [few], drive)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("velocity", "at_bound"), [(0.4, True), (0.7, False)])
 def test_what_fades_at_speed_is_no_stribeck_friction(velocity, at_bound):
     model = elbow()

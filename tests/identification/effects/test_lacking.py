@@ -67,6 +67,7 @@ def test_the_bias_is_the_difference_of_fits_without_and_with_the_effect() -> Non
     assert np.any(np.abs(bias) > 5.0 * short.std_errors)
 
 
+@pytest.mark.study
 def test_the_bias_by_a_tilt_is_that_of_the_fit_on_the_tilted_base() -> None:
     model = bundled_robot("ur10e")
     turned = Rotation.from_rotvec(np.deg2rad([2.0, 0.0, 0.0])).apply(np.array(model.gravity))
@@ -141,6 +142,7 @@ def test_intervals_hold_the_truth_under_friction_that_the_model_lacks() -> None:
     assert np.mean(narrow) < 0.8
 
 
+@pytest.mark.study
 def test_the_bias_that_two_results_share_is_no_error_of_their_difference() -> None:
     pair = [
         with_lacking(fit, data).concluded(*fit.metrics([data]))

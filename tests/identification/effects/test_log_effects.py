@@ -91,6 +91,7 @@ def test_a_right_log_has_no_errors(name: str) -> None:
     assert found(name) == ()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "factor"),
     [
@@ -107,6 +108,7 @@ def test_a_wrong_clock_is_measured(name: str, factor: float) -> None:
     assert error.std_error < 0.01 * factor
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "joint", "by"),
     [("ur10e", 3, -0.05), pytest.param("franka-panda", 3, 0.035, marks=pytest.mark.study)],
@@ -142,6 +144,7 @@ def test_gains_are_sought_on_the_tilted_robot(name: str, joint: int, tilt: float
     assert 1.0 + error.estimate == pytest.approx(0.9, abs=3e-3)
 
 
+@pytest.mark.study
 def test_a_dead_sensor_is_named() -> None:
     model = bundled_robot("ur10e")
     codes = findings("ur10e", logged(model, gain(2, 0.0)))
@@ -166,6 +169,7 @@ def findings(name: str, recording: Recording) -> dict[str, Finding]:
     return {each.code: each for each in said}
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "joint", "part"),
     [
@@ -231,6 +235,7 @@ def test_errors_beyond_the_size_that_shows_are_found_and_smaller_ones_are_not() 
             assert ((kind, model.joint_names[joint]) in errors) == named, (kind, size)
 
 
+@pytest.mark.study
 def test_a_drifting_sensor_is_measured() -> None:
     (error,) = found("ur10e", drifting(1, 8.0))
     assert (error.effect, error.joint) == ("drift", "shoulder_lift_joint")

@@ -72,6 +72,7 @@ def test_a_spring_is_found_where_it_is_and_nowhere_else(trial, robot, joint, sti
     assert named.lacking is not None
 
 
+@pytest.mark.study
 def test_a_described_spring_and_too_short_a_recording_show_nothing(trial) -> None:
     case = trial("ur10e", "viscous,coulomb,offset", seed=22, duration=30.0, rate=20.0)
     springs = np.zeros(6)
@@ -195,6 +196,7 @@ def test_what_is_wanted_is_read_from_text() -> None:
         StudyOptions(effects="auto,tilt")
 
 
+@pytest.mark.study
 def test_friction_with_a_parameter_of_its_own_at_each_joint_is_in_the_model(trial) -> None:
     """Trial values of nonlinear parameters differ by joint; what they add has its bias too."""
     case = trial("ur10e", "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)

@@ -35,6 +35,7 @@ def ensemble(result: IdentificationResult) -> Ensemble:
     return draw_ensemble(result, 1500, rng=3)
 
 
+@pytest.mark.study
 def test_base_parameters_have_the_quantiles_of_their_normal_distribution(
     result: IdentificationResult, ensemble: Ensemble
 ) -> None:

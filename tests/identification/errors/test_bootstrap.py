@@ -215,7 +215,14 @@ def test_a_block_that_alone_tells_a_direction_is_reported(samples: Samples) -> N
         redraw(information, estimate)
 
 
-@pytest.mark.parametrize("method", [name for name in methods if name != "total"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(name, marks=() if name in ("wls", "huber", "entropic") else pytest.mark.study)
+        for name in methods
+        if name != "total"
+    ],
+)
 def test_identify_takes_its_errors_from_the_draws_whatever_the_method(
     samples: Samples, method: str
 ) -> None:
@@ -239,6 +246,7 @@ def test_errors_that_do_not_exist_are_named(samples: Samples) -> None:
         identify_samples(MODEL, samples, base=BASE, errors="jackknife")  # type: ignore[arg-type]
 
 
+@pytest.mark.study
 def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
     samples: Samples,
 ) -> None:

@@ -40,6 +40,7 @@ from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.summary import summarise
+from studied_cases import first_of
 
 ROBOTS = ["kuka-iiwa7-r800", "ur10e", "puma-560", "scara", "franka-panda"]
 
@@ -65,7 +66,7 @@ def test_without_noise_the_torques_of_the_truth_come_back(trial, robot):
         assert torque_error(case, estimate.beta) < 1e-4, method
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", first_of(2, ROBOTS))
 def test_every_estimate_is_real_and_the_prior_helps(trial, robot):
     case = trial(robot, noise=0.05, seed=4)
     free = fit_least_squares(
@@ -220,6 +221,7 @@ def test_given_weight_bounds_and_joint_weights(trial):
         fit_toward_cad(case.information, case.prior, metric="manhattan")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("method", ["consistent", "entropic"])
 def test_errors_are_not_too_small(trial, method):
     """Over repeated noise, and with a truth as far from CAD as its own weight says, the estimate
@@ -338,6 +340,7 @@ def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
         assert estimate.part > 0
 
 
+@pytest.mark.study
 def test_result_says_method_margin_and_weight(shared):
     model, train, _ = med7(shared, "measurements_with_ext_tau_1_dgr.csv", "blocks:5s:3")
     for method in ("consistent", "entropic", "euclidean"):

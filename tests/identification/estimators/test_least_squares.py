@@ -140,6 +140,7 @@ def test_weights_lower_the_error_where_noise_differs(robot):
     assert np.square(weighted).mean() < 0.5 * np.square(plain).mean()
 
 
+@pytest.mark.study
 def test_standard_errors_are_the_scatter_of_repeated_experiments(robot):
     model, base, beta = robot
     noise = np.array([0.1, 3.0, 0.5, 2.0, 0.2, 0.1, 0.05])

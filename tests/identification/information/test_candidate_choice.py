@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.stats import ttest_rel
 from three_links import DRIVE, recording
 
@@ -81,6 +82,7 @@ def test_ties_go_to_the_candidate_closest_to_cad(robot):
     assert choice_of(robot, [1.5 * beta, beta])[0].chosen == 1
 
 
+@pytest.mark.study
 def test_inconsistent_values_must_predict_better_beyond_chance(robot):
     beta = robot[2]
     sure = choice_of(robot, [1.5 * beta, beta], certain=(True, False))[0]

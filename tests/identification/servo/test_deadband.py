@@ -61,6 +61,7 @@ def test_a_deadband_is_found_and_named(seed):
     assert "no torque within" in servo_notes(read_mjcf(ROBOT), found)[0]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.study) for seed in (2, 3))]
 )
@@ -70,6 +71,7 @@ def test_no_deadband_is_found_where_there_is_none(seed):
     assert found.errors.deadband == 0.0
 
 
+@pytest.mark.study
 def test_a_deadband_is_found_without_gains():
     found = estimated(1, WIDTH, kp=(np.nan,) * 3)
     assert found.servo.deadband == pytest.approx((WIDTH,) * 3, rel=0.15)

@@ -19,6 +19,7 @@ from asbuilt.identification.servo.servo_estimate import estimate_servo
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.servo import servo_findings
 from asbuilt.workflow.study import identify
+from studied_cases import first_of
 
 KP, DELAY, STEP, RATE = (15.0, 15.0, 15.0), 0.013, 0.001, 100.0
 ROBOT = """
@@ -96,6 +97,7 @@ def test_stiffness_is_found_from_the_masses_of_cad(recording):
     assert set(found.errors.scale) <= {"gravity", "inertia"}
 
 
+@pytest.mark.study
 def test_one_stiffness_is_shared_if_asked(recording):
     together = estimated(recording, unknown(), shared=True)
     assert together.errors.shared
@@ -103,6 +105,7 @@ def test_one_stiffness_is_shared_if_asked(recording):
     assert together.servo.kp[0] == pytest.approx(15.0, rel=0.03)
 
 
+@pytest.mark.study
 def test_time_in_contact_is_named(recording):
     q = recording.q.copy()
     touching = (recording.t >= 10.0) & (recording.t < 12.0)
@@ -141,6 +144,7 @@ def test_gains_of_position_actuators_are_read():
     assert servo.kd == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.study
 def test_stiffness_does_not_share_gravity_with_a_constant_torque(recording):
     driven = driven_by_command(recording, unknown())
     chain = resolve_chain(SignalChain(), driven)
@@ -202,6 +206,7 @@ def test_a_limit_of_the_goal_is_found_and_counts():
     assert found.of_recording(0) == found.servo
 
 
+@pytest.mark.study
 def test_no_limit_of_the_goal_is_found_where_there_is_none(recording):
     for each in (recording, limited_recording(np.inf)):
         found = sought(each)
@@ -210,6 +215,7 @@ def test_no_limit_of_the_goal_is_found_where_there_is_none(recording):
         assert not found.servo.limits_goal
 
 
+@pytest.mark.study
 def test_parameters_follow_the_delay_of_the_servo_as_their_errors_say(recording):
     driven = driven_by_command(recording, unknown(KP))
     model, drive = read_mjcf(ROBOT), DriveSet.parse("armature,viscous,coulomb")
@@ -238,6 +244,7 @@ def test_parameters_follow_the_delay_of_the_servo_as_their_errors_say(recording)
     assert servo_delay_errors(fit.information, fit.estimate, found.slopes, KP, 0.0, 0.0) is None
 
 
+@pytest.mark.study
 def test_magnitudes_beside_commands_give_the_damping_of_the_servo(recording):
     error = held_command(recording, DELAY) - recording.q
     velocity = np.gradient(recording.q, recording.t, axis=0)
@@ -258,7 +265,7 @@ def test_magnitudes_beside_commands_give_the_damping_of_the_servo(recording):
     assert "pan 3" in told.message or "pan 4" in told.message
 
 
-@pytest.mark.parametrize(("skew", "told"), [(0.0, False), (0.02, True)])
+@pytest.mark.parametrize(("skew", "told"), first_of(1, [(0.0, False), (0.02, True)]))
 def test_a_torque_before_its_command_is_no_delay(recording, skew, told):
     """Positions that were logged late are told from a servo that is late."""
     t = recording.t

@@ -35,6 +35,7 @@ def test_wear_is_found_where_it_is() -> None:
     assert drift.sentences[0].startswith("The torque of the same motion changed: A3 by ")
 
 
+@pytest.mark.study
 def test_nothing_changed_between_two_recordings_of_the_same_robot() -> None:
     drift = compare_results(identified(ARM, "f"), identified(ARM, "f", seed=2))
     assert drift.n_changed <= 3
@@ -74,6 +75,7 @@ def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
     )
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("drive", "said"),
     [

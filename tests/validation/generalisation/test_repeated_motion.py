@@ -57,6 +57,7 @@ def test_few_moving_joints_say_nothing() -> None:
     assert repeated_share([still], still) == 0.0
 
 
+@pytest.mark.study
 def test_a_study_says_which_recording_is_no_other_motion() -> None:
     study = identify(
         ROBOT,

@@ -19,6 +19,7 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.review.claimed_numbers import ClaimedNumber, claimed_numbers
 from asbuilt.validation.review.profile import profile_numbers
 from asbuilt.workflow.options import StudyOptions
+from studied_cases import first_of
 
 STEP, RATE = 0.001, 100.0
 ROBOT = """
@@ -113,6 +114,7 @@ def test_wrong_numbers_are_contradicted(recording, tmp_path_factory):
     assert [claim.verdict for claim in found.claims[:3]] == ["contradicted"] * 3
 
 
+@pytest.mark.study
 def test_unknown_gains_of_the_servo(recording, tmp_path_factory):
     stiff = described(tmp_path_factory, kp=300.0, kv=2.0)
     found = review(stiff, driven(recording, np.nan, np.nan), options=StudyOptions(same_servos=True))
@@ -129,7 +131,7 @@ def test_unknown_gains_of_the_servo(recording, tmp_path_factory):
     assert abs(together.estimate - 0.6) < 4.0 * together.std_error + 0.05
 
 
-@pytest.mark.parametrize(("limit", "contradicted"), [(9.0, True), (4.0, False)])
+@pytest.mark.parametrize(("limit", "contradicted"), first_of(1, [(9.0, True), (4.0, False)]))
 def test_a_torque_limit_that_the_command_exceeds_is_judged(limit, contradicted, tmp_path_factory):
     """Claimed is 4 N m; the true arm has 9 or 4 N m."""
     claimed = described(tmp_path_factory)
@@ -145,6 +147,7 @@ def test_a_torque_limit_that_the_command_exceeds_is_judged(limit, contradicted, 
     assert "where the command asks for" in claim.note
 
 
+@pytest.mark.study
 def test_a_value_that_no_robot_has_contradicts_nothing(recording, tmp_path_factory):
     """Torques with a negative armature: the log differs from the claim by many errors."""
     model = described(tmp_path_factory)
@@ -172,6 +175,7 @@ def test_a_centre_beyond_the_robot_contradicts_nothing(recording, tmp_path_facto
     assert found.of("mass", "elbow").verdict == "contradicted"
 
 
+@pytest.mark.study
 def test_a_value_just_below_zero_is_judged_at_zero(recording, tmp_path_factory):
     model = described(tmp_path_factory)
     motion = random_fourier(model, 3, duration=20.0, n_harmonics=12)

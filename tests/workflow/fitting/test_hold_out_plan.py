@@ -65,6 +65,7 @@ def test_the_default_changes_no_parameter_and_no_error(log, options) -> None:
     assert "nothing_held_out" not in codes(by_default)
 
 
+@pytest.mark.study
 def test_the_verdict_is_of_a_fit_that_has_not_seen_what_is_held_out(log) -> None:
     chain = SignalChain(cutoff=6.0, delay=None)
     by_default = studied(log, chain=chain, effects="none")

@@ -54,7 +54,7 @@ def codes(done: Addition) -> set[str]:
     return {finding.code for finding in done.findings}
 
 
-@pytest.mark.parametrize("method", ["consistent", "wls"])
+@pytest.mark.parametrize("method", [pytest.param("consistent", marks=pytest.mark.study), "wls"])
 def test_ledger_identifies_what_the_logs_identify(
     filled: Path, logs: list[Path], method: str
 ) -> None:
@@ -232,6 +232,7 @@ def test_clocks_that_run_back_are_named(logs: list[Path], tmp_path: Path) -> Non
     assert dates == [datetime.fromtimestamp(noon + shift, UTC) for shift in (0.0, 5.0)]
 
 
+@pytest.mark.study
 def test_rebuilding_chooses_again_and_keeps_robots_and_dates(
     logs: list[Path], tmp_path: Path
 ) -> None:

@@ -132,6 +132,7 @@ def test_a_robot_unlike_its_siblings_is_named(prior: SiblingPrior) -> None:
     assert sum(like) <= 2
 
 
+@pytest.mark.study
 def test_from_a_ledger(tmp_path: Path) -> None:
     here = FleetOptions(workers=0)
     for robot in range(1, 7):

@@ -68,6 +68,7 @@ def test_unknown_suffix_is_refused(figures: dict[str, Figure], tmp_path: Path) -
         save_figure(figures["torque"], tmp_path / "x.bmp")
 
 
+@pytest.mark.study
 def test_no_global_figure_is_made() -> None:
     code = (
         "import sys, asbuilt.writers.figures.study_figures;"

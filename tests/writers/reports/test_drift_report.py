@@ -54,6 +54,7 @@ def controller() -> ControllerComparison:
     )
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("width", [900])
 def test_no_table_is_cut_off(
     drift: Drift, controller: ControllerComparison, width: int, tmp_path: Path

@@ -14,10 +14,10 @@ from asbuilt.description.rotation import inverted, placement
 from asbuilt.dynamics.base.observation_rank import negligible_columns
 from asbuilt.dynamics.base.regrouping_relations import (
     LENGTH_EXPONENTS,
-    RANK_TOLERANCE,
     LinkMotion,
     RegroupingRelations,
     characteristic_length,
+    null_space,
     regrouping_relations,
     reversed_echelon,
 )
@@ -293,9 +293,7 @@ def _leaving_out(columns: Sequence[int], null: Array) -> Array:
         return null
     gone = np.zeros((len(columns), null.shape[1]))
     gone[np.arange(len(columns)), columns] = 1.0
-    _, sizes, basis = np.linalg.svd(null[:, columns].T)
-    rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, float(np.max(sizes, initial=0.0)))))
-    kept = basis[rank:] @ null
+    kept = null_space(null[:, columns].T) @ null
     kept[:, columns] = 0.0
     return np.vstack([kept, gone])
 

@@ -141,18 +141,19 @@ def row_space(rows: Array) -> Array:
 
     Near-zero rows are noise, not directions.
     """
-    if not rows.size:
-        return rows[:0]
     _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
-    rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, sizes[0])))
-    return np.asarray(basis[:rank])
+    return np.asarray(basis[: _rank(sizes)])
 
 
 def null_space(rows: Array) -> Array:
     """Return an orthonormal basis, as rows, of the vectors that every row annihilates."""
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-    rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, sizes[0] if sizes.size else 0.0)))
-    return np.asarray(basis[rank:])
+    return np.asarray(basis[_rank(sizes) :])
+
+
+def _rank(sizes: Array) -> int:
+    """Return how many singular values are no noise."""
+    return int(np.sum(sizes > RANK_TOLERANCE * sizes.max(initial=1.0)))
 
 
 def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -163,9 +164,7 @@ def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
     A column is a pivot exactly if it depends on the columns before it when `rows` span the null
     space of a matrix.
     """
-    reduced = np.array(rows, dtype=np.float64)
-    if reduced.size:
-        reduced /= np.abs(reduced).max(axis=1, keepdims=True)
+    reduced = rows / np.abs(rows).max(axis=1, keepdims=True)
     pivots: list[int] = []
     for column in range(reduced.shape[1] - 1, -1, -1):
         used = len(pivots)

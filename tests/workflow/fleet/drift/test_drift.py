@@ -114,6 +114,7 @@ def test_the_torque_of_a_payload_is_that_of_its_weight_and_inertia(drift: FleetD
     assert found.torque == pytest.approx(float(np.sqrt(squares / n).max()), rel=0.1)
 
 
+@pytest.mark.study
 def test_changes_before_a_date_do_not_count(ledger: Path) -> None:
     late = fleet_drift(ledger, since=BEGIN + timedelta(days=CHANGE))
     assert {each.id for each in late.changed} == {"R1", "R2"}
@@ -121,6 +122,7 @@ def test_changes_before_a_date_do_not_count(ledger: Path) -> None:
         FleetDriftOptions(false_discovery_rate=0.0)
 
 
+@pytest.mark.study
 def test_tilt_products_are_those_of_gravity_torques(ledger: Path) -> None:
     opened = open_ledger(str(ledger))
     name, settings = opened.current_names("R3")[0]
@@ -138,6 +140,7 @@ def test_tilt_products_are_those_of_gravity_torques(ledger: Path) -> None:
     assert products[-2:] == pytest.approx(share * T.T @ T, rel=0.1, abs=0.05 * np.trace(T.T @ T))
 
 
+@pytest.mark.study
 def test_logs_of_one_day_count_together(ledger: Path) -> None:
     entries = open_ledger(str(ledger)).entries("R3")
     logs = [day_of(each) for each in entries]
@@ -147,6 +150,7 @@ def test_logs_of_one_day_count_together(ledger: Path) -> None:
     assert together.grams[0] == pytest.approx(np.sum([day.grams[0] for day in logs], axis=0))
 
 
+@pytest.mark.study
 def test_page_shows_every_robot_and_escapes_names(drift: FleetDrift, tmp_path: Path) -> None:
     odd = replace(drift, robots=(*drift.robots, replace(drift.robots[-1], id="<b>&")))
     page = fleet_html(odd)
@@ -162,6 +166,7 @@ def test_page_shows_every_robot_and_escapes_names(drift: FleetDrift, tmp_path: P
     assert write_fleet_report(tmp_path / "fleet.html", drift).read_text() == fleet_html(drift)
 
 
+@pytest.mark.study
 def test_commands(capsys: pytest.CaptureFixture[str], ledger: Path, tmp_path: Path) -> None:
     found = document(capsys, "fleet", "drift", ledger)
     fields = {"id", "n_logs", "first", "last", "changed", "when", "p_value", "what"}

@@ -23,6 +23,7 @@ from asbuilt.errors import UsageError
 from asbuilt.writers.models.c.c_code import c_code, write_c
 from asbuilt.writers.models.c.c_expressions import StraightLine, Term
 from asbuilt.writers.models.sample_states import sample_states
+from studied_cases import first_of
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1")
 
@@ -103,6 +104,7 @@ def test_bundled_robots(name: str, tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(bundled_robot(name), 3))
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["lbrstack_med7.urdf", "mjcf_iiwa14.xml"])
 def test_descriptions_of_strangers(shared: Path, name: str, tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(load_robot(shared / "models" / name), 4))
@@ -173,6 +175,7 @@ def test_hostile_names_stay_text(example: Any, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.study
 def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     model = bundled_robot("ur10e")
     coupling = np.eye(6)
@@ -194,7 +197,7 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     assert compiled.self_test().returncode == 0
 
 
-@pytest.mark.parametrize("first", range(6))
+@pytest.mark.parametrize("first", first_of(2, range(6)))
 def test_every_term_of_the_catalogue_is_written(first: int, tmp_path: Path) -> None:
     """Every sixth at once, since compiling takes longest; a wrong one is wrong in the sum."""
     model = replace(bundled_robot("two-link"), motor_coupling=np.eye(2) + np.eye(2, k=-1))
