@@ -33,6 +33,11 @@ class Cure:
         return self.text
 
 
+def undesigned(cure: Cure) -> Cure:
+    """Return a cure without the design of a motion, as for legs, of which none is designed."""
+    return replace(cure, call="") if cure.call == "design_motion" else cure
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Name what is wrong (`message`: place and value) and what to do about it (`cure`).

@@ -49,7 +49,7 @@ from asbuilt.experiment.quality.torque.signal_checks import (
 )
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
 from asbuilt.experiment.recording import FLIPPED_TWICE, Recording
-from asbuilt.findings import Cure, Finding, joined, ranked
+from asbuilt.findings import Cure, Finding, joined, ranked, undesigned
 from asbuilt.tables import WIDTH, wrapped
 
 TOO_LITTLE = ("too_few_samples", "too_short")
@@ -67,8 +67,9 @@ OF_MODEL_TORQUES = (
     *UNKNOWN_TORQUE,
     *("gravity_direction", "joint_convention", "joint_torque_scale", "joints_swapped"),
     *("torque_uncorrelated", "torque_unsigned"),
+    *("rank_deficient", "weak_excitation"),
 )
-"""Codes of findings that torques of contacts, which no check knows, would explain."""
+"""Codes of findings about a robot that is held: on legs contacts push it, and excite it."""
 _HEADLINE = 160
 """Characters of the first finding in the headline."""
 _MOST_INFOS = 3
@@ -304,7 +305,11 @@ def _check_of_free_base(model: RobotModel, recording: Recording) -> RecordingChe
     """
     held = check_recording(model.standing, of_joints_alone(model, recording))
     clock = any(f.severity == "error" and f.code.startswith("clock_") for f in held.findings)
-    kept = (f for f in held.findings if f.code not in OF_MODEL_TORQUES)
+    kept = (
+        replace(f, cure=f.cure and undesigned(f.cure))
+        for f in held.findings
+        if f.code not in OF_MODEL_TORQUES
+    )
     further = () if clock else free_base_findings(model, recording)
     return replace(
         held,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,9 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.contact import contact_basis
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.kernels.joint_space import project
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.findings import Cure, Finding, joined
@@ -186,7 +188,8 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
         The result.
     motions
         Find the further motion that helps: slow poses, steady fast motion or hard acceleration of
-        each joint, or of all, within the limits, by the information that 20 s of it add.
+        each joint, or of all, within the limits, by the information that 20 s of it add. Of a robot
+        whose base floats, a finding of its study has it (`weak_excitation`).
 
     Returns
     -------
@@ -196,8 +199,7 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     names = np.array(result.base.names)
     dropped = result.dropped
     determined = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
-    size = np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
-    error = result.std_errors
+    size, error = _sizes(result), result.std_errors
     well, hardly = (
         determined & (error <= LIMITS.well * size),
         determined & (error > LIMITS.poor * size),
@@ -208,8 +210,10 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
             [parameter.poorly_determined for parameter in result.parameters]
         )
         combinations = _combinations(result, information, determined)
-        weak = np.flatnonzero(~well & ~(negligible & determined) & ~dropped)
-        advice = _advice(result, information, weak) if motions and weak.size else ()
+        weak = weak_parameters(result)
+        # A base that floats does not take poses: `leg_advice` has the motions of legs.
+        asked = motions and weak.size and not result.model.n_floating
+        advice = _advice(result, information, weak) if asked else ()
     return Determination(
         well=tuple(names[well]),
         fairly=tuple(names[determined & ~well & ~hardly]),
@@ -307,22 +311,63 @@ def _combinations(
     return tuple(found)
 
 
-def _advice(result: IdentificationResult, information: Array, weak: Indices) -> tuple[Advice, ...]:
-    """Return the motions that help the weak parameters: slow poses, one joint at a time, all."""
+def weak_parameters(result: IdentificationResult) -> Indices:
+    """Return the base parameters whose error is above 10 % and matters, or that are undetermined."""
+    dropped, poor = result.dropped, [each.poorly_determined for each in result.parameters]
+    determined = np.array([each.determined for each in result.parameters]) & ~dropped
+    size, error = _sizes(result), result.std_errors
+    well = determined & (error <= LIMITS.well * size)
+    negligible = determined & (error > LIMITS.poor * size) & ~np.array(poor)
+    return np.flatnonzero(~well & ~negligible & ~dropped)
+
+
+def _sizes(result: IdentificationResult) -> Array:
+    return np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
+
+
+def error_ratios(
+    result: IdentificationResult, information: Array, weak: Indices, extras: Iterable[Array]
+) -> Array:
+    """Return the errors of weak parameters after further motions over those before, a row each.
+
+    `extras` are mean information matrices (p, p) of a sample of each motion, of which 20 s are as
+    independent as those recorded.
+    """
     independent = result.effective_samples / max(result.duration, 1e-9) * LIMITS.seconds
     before, ceiling = _errors(information, weak)
-    ratios, texts = [], []
-    for text, q, qd, qdd in _motions(result.model):
-        extra = _information_of(result, q, qd, qdd) * (independent / len(q))
-        after, _ = _errors(information + extra, weak, ceiling)
-        ratios.append(after / before)
-        texts.append(text)
-    table = np.array(ratios)
+    return np.array(
+        [_errors(information + independent * each, weak, ceiling)[0] / before for each in extras]
+    )
+
+
+def _advice(result: IdentificationResult, information: Array, weak: Indices) -> tuple[Advice, ...]:
+    """Return the motions that help the weak parameters: slow poses, one joint at a time, all."""
+    texts, states = zip(*((text, state) for text, *state in _motions(result.model)), strict=True)
+    extras = (sample_information(result, *each) for each in states)
+    table = error_ratios(result, information, weak, extras)
+    some = (slice(0, 1), slice(1, -1), slice(1, -1), slice(-1, None))
+    return best_motions(result, weak, table, texts, some)
+
+
+def best_motions(
+    result: IdentificationResult,
+    weak: Indices,
+    table: Array,
+    texts: Sequence[str],
+    choices: Sequence[slice],
+    nearly: float = 1.0,
+) -> tuple[Advice, ...]:
+    """Return the motion of each choice that helps most of the parameters that are left.
+
+    `table` holds their ratios of errors, a row for each motion of `texts`. The first one is taken
+    that helps `nearly` as many as the best.
+    """
     left = np.ones(weak.size, dtype=bool)
     found: list[Advice] = []
-    for some in (slice(0, 1), slice(1, -1), slice(1, -1), slice(-1, None)):
+    for some in choices:
         served = left & (table[some] < LIMITS.helps)
-        best = int(np.argmax(served.sum(axis=1)))
+        helped = served.sum(axis=1)
+        best = int(np.argmax(helped >= nearly * helped.max()))
         if not served[best].any():
             continue
         row = table[some][best]
@@ -342,14 +387,31 @@ def _errors(information: Array, weak: Indices, scale: Array | None = None) -> tu
     return np.sqrt(np.diag(np.linalg.inv(whitened)))[weak] * size[weak], size
 
 
-def _information_of(result: IdentificationResult, q: Array, qd: Array, qdd: Array) -> Array:
+def sample_information(
+    result: IdentificationResult,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    contact: Array | None = None,
+    noise: Sequence[float] = (),
+) -> Array:
+    """Return the mean information (p, p) of states (N, n), less forces at closed contacts.
+
+    `contact` and `noise` are those of `contact_basis`.
+    """
     plan = RegressorPlan.of(result.model, result.base.drive, result.base.columns)
+    buffer = plan.buffer(len(q))
+    rows = plan.evaluate(q, qd, qdd, buffer)
+    if contact is not None:
+        for own, each in zip(rows, noise, strict=False):
+            own /= each
+        project(contact_basis(result.model, q, contact, noise), buffer, len(q))
     total = np.zeros((result.n_base, result.n_base))
     largest = float(result.sigma[np.isfinite(result.sigma)].max(initial=0.0))
     sigma = np.maximum(result.sigma, 1e-9 * max(largest, 1e-300))
-    for support, rows, noise in zip(plan.support, plan.evaluate(q, qd, qdd), sigma, strict=True):
-        total[np.ix_(support, support)] += rows @ rows.T / noise**2
-    return total
+    for support, own, sd in zip(plan.support, rows, sigma, strict=True):
+        total[np.ix_(support, support)] += own @ own.T / sd**2
+    return total / len(q)
 
 
 def _motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]]:

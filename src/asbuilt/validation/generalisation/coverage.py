@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Cure, Finding, joined
+from asbuilt.findings import Cure, Finding, joined, undesigned
 from asbuilt.tables import share
 
 WIDER = Cure("validate on a wider and faster motion", call="design_motion")
@@ -45,7 +45,7 @@ COVERAGE = Coverage()
 def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterator[Finding]:
     """Yield what of range and speed the training motion leaves out.
 
-    Joints without limits do not count.
+    Joints without limits do not count, nor do the coordinates of a base that floats.
 
     Parameters
     ----------
@@ -58,12 +58,14 @@ def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterato
     turn = np.array([2.0 * np.pi if joint.is_revolute else np.inf for joint in model.joints])
     span = np.minimum([limit.upper - limit.lower for limit in limits], turn)
     speed = np.array([limit.velocity for limit in limits])
+    span[: model.n_floating] = speed[: model.n_floating] = np.inf
     low, high = (
         np.array([edge(samples.in_segments(samples.q), axis=0) for samples in training])
         for edge in (np.min, np.max)
     )
     speeds = (np.abs(samples.in_segments(samples.qd)) for samples in training)
     fast = np.max([np.percentile(each, COVERAGE.percentile, axis=0) for each in speeds], axis=0)
+    wider = undesigned(WIDER) if model.n_floating else WIDER
     covered = _share(high.max(axis=0) - low.min(axis=0), span)
     reached = _share(fast, speed)
     narrow = np.flatnonzero(covered < COVERAGE.position)
@@ -71,14 +73,14 @@ def coverage_findings(model: RobotModel, training: Sequence[Samples]) -> Iterato
         listed = joined(
             [f"{share(covered[k], 0)} of its range at {model.joint_names[k]}" for k in narrow], 3
         )
-        yield Finding("motion_narrow", "info", f"The motion covers {listed}", WIDER)
+        yield Finding("motion_narrow", "info", f"The motion covers {listed}", wider)
     if np.any(np.isfinite(reached)) and np.nanmedian(reached) < COVERAGE.speed:
         typical = share(float(np.nanmedian(reached)), 0)
         yield Finding(
             "motion_slow",
             "info",
             f"Joints reach {typical} of their speed limits (median): faster motion is untested",
-            WIDER,
+            wider,
         )
 
 

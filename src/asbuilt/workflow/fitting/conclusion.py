@@ -23,6 +23,7 @@ from asbuilt.identification.errors.bias import position_noise_findings
 from asbuilt.identification.identify import Fit
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.determination import spring_findings
+from asbuilt.identification.result.leg_advice import leg_findings
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.attribution.attribute import attribute
@@ -130,6 +131,7 @@ def conclude_study(
         *_model_findings(fits, result, attribution, options),
         *cad_verdict_findings(validations),
         *spring_findings(result),
+        *leg_findings(result, fits.samples),
     )
     shares = _error_shares((*validations, *trained)[0].metrics_as_built)
     return Conclusion(result, consolidated(findings, shares), trained, validations, attribution)

@@ -1,0 +1,247 @@
+"""Motions that a robot with a floating base can make about a posture: on its feet and in the air.
+
+They are states at which a regressor is evaluated to tell what such a motion would determine, and no
+commands: nobody asks whether the robot keeps its balance. Feet that stand are held where they are
+by inverse kinematics; in the air the base moves as momentum demands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.contact import contact_jacobians
+from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
+from asbuilt.excitation.limits import MotionBounds
+
+
+@dataclass(frozen=True, slots=True)
+class LegMotionRules:
+    """Sizes of the motions: own choices, what legs of every size do without special skill.
+
+    Lengths are in units of the height h of the base above the feet, so that a small robot makes
+    small motions.
+    """
+
+    seconds: float = 8.0
+    rate: float = 25.0
+    slow: tuple[float, float] = (0.31, 0.97)
+    """Frequencies of the base [Hz]: gravity shows in the slow one, inertia in the fast one."""
+    fast: tuple[float, float] = (0.53, 1.61)
+    """Frequencies of limbs that carry nothing [Hz]."""
+    height: float = 0.15
+    """Half the range of a squat [h]."""
+    sway: float = 0.08
+    """Half the range of a sway, so that the weight stays between the feet [h]."""
+    turn: float = 0.2
+    """Half the range of a turn of the base [rad]."""
+    swing: float = 0.5
+    """Half the range of a joint that swings [rad]."""
+    lift: float = 0.2
+    """Height at which a lifted foot is held [h]."""
+    airborne: float = 0.2
+    """Part of the time that hops spend in the air, less what a low-pass spreads at touch-down."""
+    halvings: int = 3
+    """How often a motion out of reach is made half as large."""
+    steps: int = 12
+    reached: float = 1e-3
+    """Gap of a foot that counts as closed [h]."""
+
+
+RULES = LegMotionRules()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegMotion:
+    """Hold a motion: its name, states (N, n), which contacts are closed, and its part of time."""
+
+    name: str
+    q: Array
+    qd: Array
+    qdd: Array
+    closed: Mask
+    share: float = 1.0
+
+
+def leg_motions(model: RobotModel, posture: Array) -> Iterator[LegMotion]:
+    """Yield the motions that a robot can make about a posture q (n,), the gentlest first.
+
+    The base of the robot is free, its first six coordinates those of `structure.free_base`.
+    """
+    t = np.arange(0.0, RULES.seconds, 1.0 / RULES.rate)
+    yield from _on_feet(model, posture, t)
+    yield from _in_the_air(model, posture, t)
+
+
+def _on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
+    feet = len(model.contacts)
+    if not feet:
+        return
+    h = _height(model, posture)
+    aside, down, turn = RULES.sway * h, RULES.height * h, RULES.turn
+    for name, size in (
+        ("squats", [0, 0, down, 0, 0, 0]),
+        ("swaying on standing feet", [aside, aside, 0, 0, 0, 0]),
+        ("leaning the trunk on standing feet", [0, 0, 0, 0, turn, turn]),
+        ("twisting the trunk on standing feet", [0, 0, 0, turn, 0, 0]),
+        ("squatting, leaning and twisting at once", [aside, aside, down, turn, turn, turn]),
+    ):
+        base = np.array(size) * _waves(t, 6, RULES.slow)
+        yield from _standing(model, posture, name, base, np.ones(feet, dtype=np.bool_))
+    legs = [_joints_above(model, each.frame) for each in model.contacts]
+    lifted = [each for k in range(feet) if feet > 1 for each in _lifting(model, posture, t, k, legs)]
+    if lifted:
+        yield LegMotion(
+            "lifting one foot after the other and swinging its leg",
+            *(
+                np.concatenate([getattr(each, name) for each in lifted])
+                for name in ("q", "qd", "qdd", "closed")
+            ),
+        )
+    free = sorted(set(range(6, model.n_joints)).difference(*legs))
+    if free:
+        name = "standing and swinging all joints that carry no foot"
+        yield from _standing(
+            model, posture, name, np.zeros((t.size, 6)), np.ones(feet, dtype=np.bool_), free
+        )
+
+
+def _lifting(
+    model: RobotModel, posture: Array, t: Array, k: int, legs: list[set[int]]
+) -> Iterator[LegMotion]:
+    """Yield the motion of the leg of contact k, the others standing, if they reach."""
+    stands = np.arange(len(legs)) != k
+    own = sorted(legs[k].difference(*(legs[j] for j in np.flatnonzero(stands))))
+    yield from _standing(model, posture, "", np.zeros((t.size, 6)), stands, own)
+
+
+def _standing(
+    model: RobotModel,
+    posture: Array,
+    name: str,
+    base: Array,
+    stands: Mask,
+    swinging: list[int] | None = None,
+) -> Iterator[LegMotion]:
+    """Yield the motion of a base (N, 6) on feet that stand, if these reach, else none."""
+    rest = posture
+    if not stands.all():
+        lifted = RULES.lift * _height(model, posture) * ~stands
+        rest, off = _on_ground(model, posture[None], posture, stands | True, lifted)
+        rest = rest[0] if off else posture
+    for k in range(RULES.halvings + 1):
+        q = rest + np.zeros((len(base), 1))
+        q[:, :6] += 0.5**k * base
+        if swinging:
+            t = np.arange(len(base)) / RULES.rate
+            waves = _waves(t, len(swinging), RULES.fast)
+            q[:, swinging] += 0.5**k * waves * _room(model, rest)[swinging]
+        q, reached = _on_ground(model, q, posture, stands)
+        if reached:
+            rates = np.gradient(q, 1.0 / RULES.rate, axis=0)
+            second = np.gradient(rates, 1.0 / RULES.rate, axis=0)
+            yield LegMotion(name, q, rates, second, np.tile(stands, (len(q), 1)))
+            return
+
+
+def _in_the_air(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]:
+    """Yield the motion of all joints where nothing touches the robot, with its momentum."""
+    n = model.n_joints
+    q = np.tile(posture, (t.size, 1))
+    q[:, 6:] += _waves(t, n - 6, RULES.fast) * _room(model, posture)[6:]
+    qd = np.gradient(q, 1.0 / RULES.rate, axis=0)
+    qdd = np.gradient(qd, 1.0 / RULES.rate, axis=0)
+    M = mass_matrix(model, q)
+    qd[:, :6] = -_solved(M[:, :6, :6], np.einsum("sij,sj->si", M[:, :6, 6:], qd[:, 6:]))
+    qdd[:, :6] = 0.0
+    qdd[:, :6] = -_solved(M[:, :6, :6], inverse_dynamics(model, q, qd, qdd)[:, :6])
+    feet = len(model.contacts)
+    name = "hops with legs that swing in the air" if feet else "moving all joints at once"
+    share = RULES.airborne if feet else 1.0
+    yield LegMotion(name, q, qd, qdd, np.zeros((t.size, feet), dtype=np.bool_), share)
+
+
+def _solved(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b[:, :, None])[:, :, 0])
+
+
+def _waves(t: Array, n: int, frequencies: tuple[float, float]) -> Array:
+    """Return sums of two sines (N, n) of size 1, of other phases in each column."""
+    phase = 2.0 * np.pi * np.arange(n) * (np.sqrt(5.0) - 1.0) / 2.0  # golden: no two alike
+    slow, fast = (2.0 * np.pi * f * t[:, None] for f in frequencies)
+    return np.asarray(0.6 * np.sin(slow + phase) + 0.4 * np.sin(fast + 2.0 * phase))
+
+
+def _room(model: RobotModel, posture: Array) -> Array:
+    """Return how far joints (n,) can swing to both sides of a posture."""
+    bounds = MotionBounds.of(model)
+    margin = np.minimum(bounds.upper - posture, posture - bounds.lower)
+    return np.asarray(np.clip(margin, 0.0, RULES.swing))
+
+
+def _joints_above(model: RobotModel, frame: str) -> set[int]:
+    """Return the joints that move a frame and are not those of the base."""
+    J = contact_jacobians(
+        replace(model, contacts=tuple(c for c in model.contacts if c.frame == frame)),
+        np.linspace(0.3, 0.7, model.n_joints)[None],
+    )[0][0]
+    return {int(k) for k in np.flatnonzero(np.abs(J).max(axis=0) > 1e-9) if k >= 6}
+
+
+def _places(model: RobotModel, q: Array) -> tuple[Array, Array]:
+    """Return place (N, n_contacts, 3) and rotation (N, n_contacts, 3, 3) of each contact."""
+    poses = link_poses(model, q)
+    places = (model.placed(each.frame) for each in model.contacts)
+    found = [poses[:, link] @ place for link, place in places]
+    T = np.stack(found, axis=1)
+    return T[..., :3, 3], T[..., :3, :3]
+
+
+def _height(model: RobotModel, posture: Array) -> float:
+    """Return the height of the base above its lowest contact [m]."""
+    lowest = float(_places(model, posture[None])[0][0, :, 2].min())
+    return max(float(posture[2]) - lowest, 0.05)
+
+
+def _on_ground(
+    model: RobotModel, q: Array, posture: Array, stands: Mask, lift: Array | float = 0.0
+) -> tuple[Array, bool]:
+    """Return positions (N, n) with the feet that stand where they are in a posture, but for `lift`.
+
+    Base and joints that move no such foot stay as they are. Also whether the feet get there, within
+    the limits of the joints.
+    """
+    points = replace(model, contacts=tuple(replace(c, radius=0.0) for c in model.contacts))
+    goal, turn = _places(points, posture[None])
+    goal = goal + np.outer(np.broadcast_to(lift, len(points.contacts)), [0.0, 0.0, 1.0])
+    q, off, height = q.copy(), np.inf, _height(model, posture)
+    for _ in range(RULES.steps):
+        at, R = _places(points, q)
+        jacobians, gaps, rows = contact_jacobians(points, q), [], []
+        for k in np.flatnonzero(stands):
+            gap = goal[:, k] - at[:, k]
+            if points.contacts[k].flat:
+                gap = np.hstack([gap, _rotation(turn[:, k] @ np.swapaxes(R[:, k], 1, 2))])
+            gaps.append(gap)
+            rows.append(jacobians[k][:, :, 6:])
+        gap = np.hstack(gaps)
+        off = float(np.abs(gap).max())
+        if off < 1e-2 * RULES.reached * height:
+            break
+        step = np.linalg.pinv(np.concatenate(rows, axis=1), rcond=1e-3)
+        q[:, 6:] += np.clip(np.einsum("sij,sj->si", step, gap), -0.3, 0.3)
+    bounds = MotionBounds.of(model)
+    inside = bool(np.all((q >= bounds.lower)[:, 6:] & (q <= bounds.upper)[:, 6:]))
+    return q, inside and off < RULES.reached * height
+
+
+def _rotation(R: Array) -> Array:
+    """Return the small rotation vector (N, 3) of rotations (N, 3, 3)."""
+    return 0.5 * np.stack(
+        [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1
+    )

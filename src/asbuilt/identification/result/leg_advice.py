@@ -1,0 +1,96 @@
+"""What the motion of a robot on legs determines, and which further one determines the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.excitation.motions.on_legs import leg_motions
+from asbuilt.findings import Cure, Finding, joined
+from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.result.determination import (
+    LIMITS,
+    Advice,
+    best_motions,
+    error_ratios,
+    sample_information,
+    weak_parameters,
+)
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+    from asbuilt.identification.result.result import IdentificationResult
+
+MOTIONS, NAMES = 2, 4
+"""Motions that are advised, and parameters that are named of each."""
+NEARLY = 0.9
+"""Part of the parameters that the best motion helps for which a gentler one is advised: own choice,
+since more parameters than that are lost if a hop fails."""
+
+
+def leg_findings(
+    result: IdentificationResult, samples: Sequence[Samples]
+) -> tuple[Finding, ...]:
+    """Say which motion of legs would determine what the samples of a result leave open.
+
+    Squats, sways, turns, lifted legs and hops about the posture of the robot are compared by the
+    information that 20 s of each add.
+    """
+    if result.model.n_floating != 6:
+        return ()
+    with one_blas_thread():
+        advice, weak = leg_advice(result, samples)
+    if not advice:
+        return ()
+    parts = [
+        f"of {each.motion} {'would at least halve' if k == 0 else ''} those of {len(each.names)}"
+        f" ({joined(each.names, NAMES)})".replace("  ", " ")
+        for k, each in enumerate(advice)
+    ]
+    return (
+        Finding(
+            "weak_excitation",
+            "warning",
+            f"This motion leaves {weak} of {result.n_base} parameters with errors above"
+            f" {100 * LIMITS.well:g} %; {LIMITS.seconds:g} s {', and '.join(parts)}",
+            Cure("record that too, and identify from all logs together"),
+        ),
+    )
+
+
+def leg_advice(
+    result: IdentificationResult, samples: Sequence[Samples]
+) -> tuple[tuple[Advice, ...], int]:
+    """Return the motions that help most, and how many parameters are weak."""
+    weak = weak_parameters(result)
+    if not weak.size:
+        return (), 0
+    motions = list(leg_motions(result.model, standing_posture(samples)))
+    noise = samples[0].noise
+    touching = samples[0].contact is not None
+    extras = (
+        each.share
+        * sample_information(
+            result, each.q, each.qd, each.qdd, each.closed * 1.0 if touching else None, noise
+        )
+        for each in motions
+    )
+    table = error_ratios(result, known_information(result), weak, extras)
+    names = [each.name for each in motions]
+    return best_motions(result, weak, table, names, [slice(None)] * MOTIONS, NEARLY), weak.size
+
+
+def standing_posture(samples: Sequence[Samples]) -> Array:
+    """Return the median position (n,) of samples where most contacts are closed."""
+    q = np.concatenate([each.q for each in samples])
+    if any(each.contact is None for each in samples):
+        return np.asarray(np.median(q, axis=0))
+    closed = np.concatenate([np.sum(each.contact > 0.0, axis=1) for each in samples])
+    posture = np.median(q[closed == closed.max()], axis=0)
+    if closed.max() == 0:
+        posture[4:6] = 0.0  # it falls, and stands upright before it does
+    return np.asarray(posture)
