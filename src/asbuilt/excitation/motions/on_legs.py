@@ -94,7 +94,9 @@ def _on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]
         base = np.array(size) * _waves(t, 6, RULES.slow)
         yield from _standing(model, posture, name, base, np.ones(feet, dtype=np.bool_))
     legs = [_joints_above(model, each.frame) for each in model.contacts]
-    lifted = [each for k in range(feet) if feet > 1 for each in _lifting(model, posture, t, k, legs)]
+    lifted = [
+        each for k in range(feet) if feet > 1 for each in _lifting(model, posture, t, k, legs)
+    ]
     if lifted:
         yield LegMotion(
             "lifting one foot after the other and swinging its leg",

@@ -215,6 +215,7 @@ class Selection:
         """Take effects one at a time, the most worthy first, and drop what later ones replace."""
         path: list[Trial] = []
         before: list[Trial] = []
+        exchanged = False
         while True:
             busy = {(each.effect.kind, each.joint) for each in self.taken}
             every = self.equations.candidates
@@ -232,31 +233,32 @@ class Selection:
             if path:
                 path[-1] = _with_alternatives(path[-1], before, trials)
             if not trials or len(path) == RULES.most:
-                if self._exchange(path):
-                    continue
-                self.unsure = sure
-                return path
+                if exchanged or not self._exchange(path):
+                    self.unsure = sure
+                    return path
+                exchanged = True
+                continue
             best = self._preferred(max(trials, key=lambda each: each.worth), trials)
             path.append(best)
             self.taken.append(best.candidate)
             before = trials
 
     def _exchange(self, path: list[Trial]) -> bool:
-        """Put an effect in place of one of its kind at that joint which predicts other motion less.
+        """Give effects of the path up for those of their kind that predict other motion better.
 
-        What was worthiest when it was taken need not be so beside what came later (Miller, Subset
-        Selection in Regression, 2002, section 3.4). The held-out error falls, so exchanges end.
+        What was worthiest when it was taken need not be so after what came later (Miller, Subset
+        Selection in Regression, 2002, section 3.4). Returns whether any was.
         """
+        before = list(self.taken)
         for k, old in enumerate(path):
             best = self._best_of_kind(old.candidate)
             if best is not None:
                 self.taken = [best.candidate if e is old.candidate else e for e in self.taken]
                 path[k] = replace(best, alternatives=old.alternatives)
-                return True
-        return False
+        return self.taken != before
 
     def _best_of_kind(self, own: Candidate) -> Trial | None:
-        """Return what of an effect's kind predicts other motion best, None if that is itself."""
+        """Return what of an effect's kind predicts other motion best and surely better, or None."""
         alike = [
             each
             for each in self.equations.candidates
@@ -268,10 +270,16 @@ class Selection:
         if len({each.at for each in alike}) < 2:
             return None
         trials = self._trials_beside([each for each in self.taken if each is not own], alike)
-        best = max(trials, key=lambda each: float(each.relief.mean()), default=None)
         n, robot = len({each.at for each in self.equations.candidates}), self.equations.robot
-        exchanged = best and best.candidate.at != own.at and best.is_taken(n, robot, self.held)
-        return best if exchanged else None
+        now = next((each for each in trials if _is_same(each.candidate, own)), None)
+        better = [
+            each
+            for each in trials
+            if each.candidate.at != own.at
+            and each.is_taken(n, robot, self.held)
+            and (now is None or _exceeds(each.relief - now.relief, RULES.certain))
+        ]
+        return max(better, key=lambda each: float(each.relief.mean()), default=None)
 
     def refutes_cad(self) -> bool:
         """Return whether bodies are farther from CAD than its prior lets them be.
@@ -556,7 +564,7 @@ def _best_form(best: Trial, trials: Sequence[Trial]) -> Trial:
     for each in trials:
         ahead = each.relief - best.relief
         if (each.candidate.effect.kind, each.candidate.joint) == (kind, joint) and (
-            ahead.mean() > RULES.form * _error_of_mean(ahead)
+            _exceeds(ahead, RULES.form)
         ):
             better.append(each)
     return max(better, key=lambda each: float(each.relief.mean()))
@@ -568,8 +576,17 @@ def _look_alike(taken: Trial, other: Trial) -> bool:
     As well: within one standard error of the paired differences.
     """
     lag = taken.relief - other.relief
-    alike = bool(lag.mean() <= _error_of_mean(lag))
-    return alike and other.worth > RULES.alike * taken.worth
+    return not _exceeds(lag, 1.0) and other.worth > RULES.alike * taken.worth
+
+
+def _is_same(candidate: Candidate, other: Candidate) -> bool:
+    """Return whether two candidates are one effect in one form."""
+    return candidate.at == other.at and np.array_equal(candidate.places, other.places)
+
+
+def _exceeds(excess: Array, standard_errors: float) -> bool:
+    """Return whether the mean of differences is beyond so many standard errors."""
+    return bool(excess.mean() > standard_errors * _error_of_mean(excess))
 
 
 def _error_of_mean(values: Array) -> float:

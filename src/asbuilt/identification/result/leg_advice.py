@@ -32,9 +32,7 @@ NEARLY = 0.9
 since more parameters than that are lost if a hop fails."""
 
 
-def leg_findings(
-    result: IdentificationResult, samples: Sequence[Samples]
-) -> tuple[Finding, ...]:
+def leg_findings(result: IdentificationResult, samples: Sequence[Samples]) -> tuple[Finding, ...]:
     """Say which motion of legs would determine what the samples of a result leave open.
 
     Squats, sways, turns, lifted legs and hops about the posture of the robot are compared by the
