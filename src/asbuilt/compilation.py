@@ -18,7 +18,7 @@ from numba import njit, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 
 NUMBERS = {"i": types.int64, "f": types.float64, "b": types.boolean, "a": types.float64}
 """Types by their letter in a signature; `a` is `f` in arrays whose items need not be neighbours."""

@@ -200,11 +200,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _return_freed_memory() -> None:
     """Let the system have large arrays back when they are freed, where the C library is glibc.
 
-    Else it keeps room for the largest so far, in pieces that the next do not fit.
+    Else it keeps room for the largest so far, in pieces that the next do not fit, and for each
+    thread apart.
     """
-    largest_kept, setting = 1 << 20, -3  # bytes; M_MMAP_THRESHOLD
+    largest_kept, of_arrays, of_threads = 1 << 20, -3, -8  # bytes; M_MMAP_THRESHOLD, M_ARENA_MAX
     with contextlib.suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).mallopt(setting, largest_kept)
+        library = ctypes.CDLL(None)
+        library.mallopt(of_arrays, largest_kept)
+        library.mallopt(of_threads, 1)
 
 
 def _flushed(status: int) -> int:

@@ -179,8 +179,9 @@ class Selection:
             ]
             for group in groups
         ]
-        blocks = range(equations.n_blocks)
-        self._blocks = np.array([equations.stacked(weights, [b]) for b in blocks])
+        self._blocks = np.empty((equations.n_blocks, *self._total.shape))
+        for b, own in enumerate(self._blocks):
+            own[:] = equations.stacked(weights, [b])
         self._factored: dict[tuple[int, bytes], tuple[tuple[Array, bool], Array]] = {}
         self._place = np.full((equations.n_joints, equations.n_parameters), -1)
         for place, support in zip(self._place, equations.support, strict=True):
@@ -491,9 +492,10 @@ class Selection:
             parts.append(
                 _HeldOut(fit, error, gradient, np.array([m.T @ own for _, m, own, _ in H]))
             )
-        blocks = self._blocks[:, np.flatnonzero(moving)[:, None], np.flatnonzero(moving)]
-        residual, moves = whole.residual[moving], whole.moves[moving]
-        by_block, of_block = blocks @ residual @ moves, moves.T @ blocks @ moves
+        residual, moves, own = whole.residual[moving], whole.moves[moving], np.ix_(moving, moving)
+        felt_by = [moves.T @ gram[own] for gram in self._blocks]
+        by_block = np.array([each @ residual for each in felt_by])
+        of_block = np.array([each @ moves for each in felt_by])
         size = np.sqrt(np.diag(self._total))
         floor = np.finfo(np.float64).eps * np.array(
             [[own[-1, -1] for _, own in joints] for joints in self._of_joints]
