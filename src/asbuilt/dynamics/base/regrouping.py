@@ -289,8 +289,6 @@ def _leaving_out(columns: Sequence[int], null: Array) -> Array:
 
     They are those of the whole matrix without a part in these columns, and one for each of them.
     """
-    if not columns:
-        return null
     gone = np.zeros((len(columns), null.shape[1]))
     gone[np.arange(len(columns)), columns] = 1.0
     kept = null_space(null[:, columns].T) @ null
