@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations, product
 
 import numpy as np
@@ -31,6 +32,8 @@ ANGULAR = ("imu_wx", "imu_wy", "imu_wz")
 FORCE = ("imu_ax", "imu_ay", "imu_az")
 QUATERNION = ("imu_qx", "imu_qy", "imu_qz", "imu_qw")
 PLACES = ("imu", "imu_link")
+INVERSE = "the inverse of a rotation: so read, it turns as imu_wx .. imu_wz say"
+FORWARD = "log the quaternion x y z w that turns axes of the sensor into those of the world"
 UNIT_LENGTH = 0.02
 """Largest deviation of a quaternion's length from 1 that is rounding or drift of an estimator."""
 
@@ -49,12 +52,14 @@ class InertialRules:
     """Frequency [Hz] below which feet say how fast the base moves, above it the accelerometer."""
     updates: int = 5
     """Corrections of the tilt, each of which is right to first order."""
+    turn: float = 1.0
+    """Frequency [Hz] below which gravity turns against the base as its rates say."""
     gravity: float = 0.25
     """Part by which the mean specific force may differ from that of gravity."""
     upright: float = np.deg2rad(60.0)
     """Largest mean angle between gravity and where it is expected."""
     share: float = 0.5
-    """Part of the squared speed of feet that stand, left by another reading which is right."""
+    """Part of the squared disagreement that is left by another reading, if that is right."""
 
 
 RULES = InertialRules()
@@ -87,18 +92,23 @@ def with_inertial_base(recording: Recording, model: RobotModel) -> Recording:
     placement, where = _placement(recording, model)
     w, f = w @ placement[:3, :3].T, f @ placement[:3, :3].T
     feet = Feet.of(recording, model)
-    _refuse_rates(recording, feet, w)
     _refuse_force(recording, feet, f)
-    arm, dt = placement[:3, 3], 1.0 / recording.rate
-    alpha = np.gradient(w, recording.t, axis=0)
-    f = f - np.cross(alpha, arm) - np.cross(w, np.cross(w, arm))
+    R = None
     if set(QUATERNION) <= known.keys():
         R = _logged(recording) @ placement[:3, :3].T
         _refuse_turn(recording, feet, R, f)
-    else:
-        start = Rotation.align_vectors([[0.0, 0.0, 1.0]], f[:50].mean(axis=0)[None])[0]
-        R = _levelled(_turned(start.as_matrix(), w, dt), f, feet, w, recording.rate)
+        inverse = np.swapaxes(_logged(recording), 1, 2) @ placement[:3, :3].T
+        off = [np.mean((w - _spin(each, recording.t)) ** 2) for each in (R, inverse)]
+        if off[1] < RULES.share * off[0]:
+            raise _wrong(recording, f"has imu_qx .. imu_qw that are {INVERSE}", FORWARD)
+    _refuse_rates(recording, feet, w, f, R)
+    arm, dt = placement[:3, 3], 1.0 / recording.rate
+    alpha = np.gradient(w, recording.t, axis=0)
+    f = f - np.cross(alpha, arm) - np.cross(w, np.cross(w, arm))
+    if R is None:
+        R = _levelled(_turned(w, f, dt), f, feet, w, recording.rate)
     v, offset = _velocity(R, f, feet, w, recording.rate, model.gravity)
+    _refuse_heading(recording, feet, R, f, w, v, model.gravity)
     columns = _base_columns(R, v, w, alpha, f - offset, model.gravity, dt)
     note = f"the base is that of the inertial sensor at {where} and of the feet that stand"
     return replace(recording, extra=dict(known) | columns, notes=(*recording.notes, note))
@@ -203,8 +213,9 @@ def _slow_part(x: Array, frequency: float, rate: float) -> Array:
     return np.asarray(gaussian_filter1d(x, width, axis=0, mode="reflect"))
 
 
-def _turned(start: Array, w: Array, dt: float) -> Array:
-    """Return rotations (N, 3, 3) that begin at one and turn by w (N, 3) in their own axes."""
+def _turned(w: Array, f: Array, dt: float) -> Array:
+    """Return rotations (N, 3, 3) that begin upright by f and turn by w (N, 3) in their own axes."""
+    start = Rotation.align_vectors([[0.0, 0.0, 1.0]], f[:50].mean(axis=0)[None])[0].as_matrix()
     steps = Rotation.from_rotvec(0.5 * dt * (w[1:] + w[:-1])).as_matrix()
     found = np.empty((len(w), 3, 3))
     found[0] = start
@@ -302,22 +313,70 @@ def _refuse_units(recording: Recording, f: Array, g: float) -> None:
     )
 
 
-def _refuse_rates(recording: Recording, feet: Feet, w: Array) -> None:
-    """Refuse rates that feet which stand contradict, where another reading agrees with them."""
-    if not (feet.stands.sum(axis=0) > 1).sum() > recording.rate:
-        return
-    best, reading = feet.slip(w), ""
-    limit = RULES.share * best
+def _refuse_rates(recording: Recording, feet: Feet, w: Array, f: Array, R: Array | None) -> None:
+    """Refuse rates that orientation, feet or gravity contradict, and agree with if read otherwise.
+
+    Without orientations, two feet that stand do not part, and else gravity turns against the base.
+    """
+    if R is not None:
+        turned = _spin(R, recording.t)
+        what, off = "the quaternion", lambda w: float(np.mean((w - turned) ** 2))
+    elif (feet.stands.sum(axis=0) > 1).sum() > recording.rate:
+        what, off = "the feet that stand", feet.slip
+    else:
+        what, off = "gravity", partial(_turn_of_gravity, feet, f, recording.rate)
+    best, reading = RULES.share * off(w), ""
     for M, name in _readings():
-        off = feet.slip(w @ M.T)
-        if off < min(limit, best):
-            best, reading = off, name
+        left = off(w @ M.T)
+        if left < best:
+            best, reading = left, name
     if reading:
         raise _wrong(
             recording,
-            f"has imu_wx .. imu_wz that are {reading}: so read, feet that stand stand still",
+            f"has imu_wx .. imu_wz that are {reading}: so read, they agree with {what}",
             "log them in rad/s, in axes of the sensor, or name its frame imu in the description",
         )
+
+
+def _refuse_heading(
+    recording: Recording, feet: Feet, R: Array, f: Array, w: Array, v: Array, gravity: Array
+) -> None:
+    """Refuse a sensor that is turned about the vertical, by how feet say that the base moves."""
+
+    def off(own: Array, turned: Array, moved: Array) -> float:
+        stands = feet.stands.any(axis=0)
+        by_feet = np.einsum("sij,sj->si", turned, feet.base_velocity(own)[0])
+        return float(np.mean((by_feet - moved)[stands] ** 2)) if stands.any() else 0.0
+
+    best = RULES.share * off(w, R, v)
+    for quarters in (1, 2, 3):
+        M = Rotation.from_euler("z", 90 * quarters, degrees=True).as_matrix()
+        turned = R @ M.T
+        moved, _ = _velocity(turned, f @ M.T, feet, w @ M.T, recording.rate, gravity)
+        if off(w @ M.T, turned, moved) < best:
+            raise _wrong(
+                recording,
+                f"has an inertial sensor whose axes are turned by {90 * quarters} deg about the"
+                " vertical: so read, its accelerations agree with the feet that stand",
+                "turn them into axes of the base, or name its frame imu in the description",
+            )
+
+
+def _spin(R: Array, t: Array) -> Array:
+    """Return the angular velocity (N, 3), in their own axes, of rotations (N, 3, 3)."""
+    spin = np.einsum("sji,sjk->sik", R, np.gradient(R, t, axis=0))
+    return np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+
+
+def _turn_of_gravity(feet: Feet, f: Array, rate: float, w: Array) -> float:
+    """Return the mean square of `du/dt + w x u`, of the vertical u in axes of the base."""
+    v, count = feet.base_velocity(w)
+    known = np.flatnonzero(count > 0)
+    if known.size > rate:
+        v = np.stack([np.interp(np.arange(len(v)), known, x) for x in v[known].T], axis=1)
+        f = f - np.gradient(v, 1.0 / rate, axis=0)
+    u, slow = _slow_part(f, RULES.turn, rate), _slow_part(w, RULES.turn, rate)
+    return float(np.mean((np.gradient(u, 1.0 / rate, axis=0) + np.cross(slow, u)) ** 2))
 
 
 def _readings() -> list[tuple[Array, str]]:
@@ -364,12 +423,10 @@ def _refuse_turn(recording: Recording, feet: Feet, R: Array, f: Array) -> None:
 
     angle = off(R)
     if angle > RULES.upright / 3.0:
-        inverse = off(np.swapaxes(R, 1, 2)) < 0.5 * angle
         raise _wrong(
             recording,
-            f"has imu_qx .. imu_qw in which gravity is {np.rad2deg(angle):.0f} deg off the"
-            " vertical" + (": it is the inverse, world axes to those of the sensor" * inverse),
-            "log the quaternion x y z w that turns axes of the sensor into those of the world",
+            f"has imu_qx .. imu_qw in which gravity is {np.rad2deg(angle):.0f} deg off the vertical",
+            FORWARD,
         )
 
 
