@@ -16,6 +16,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
+from asbuilt.experiment.free_base.inertial_sensor import unit_quaternions, with_inertial_base
 from asbuilt.experiment.free_base.measured_forces import (
     force_columns,
     pressed,
@@ -30,8 +31,6 @@ ACCELERATION = ("base_ax", "base_ay", "base_az")
 ANGULAR_ACCELERATION = ("base_alphax", "base_alphay", "base_alphaz")
 LINEAR, ANGULAR = ("base_vx", "base_vy", "base_vz"), ("base_wx", "base_wy", "base_wz")
 YAW_OF_PLANAR = "base_yaw"
-UNIT_LENGTH = 0.02
-"""Largest deviation of a quaternion's length from 1 that is rounding or drift of an estimator."""
 STEEPEST = np.deg2rad(80.0)
 """Pitch beyond which yaw and roll are one turn, so that their rates say nothing."""
 
@@ -39,7 +38,7 @@ STEEPEST = np.deg2rad(80.0)
 def base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Return the columns of a log that belong to a free base and its contacts."""
     return {
-        name: values for name, values in columns.items() if name.startswith(("base_", "contact_"))
+        name: values for name, values in columns.items() if name.startswith(("base_", "contact_", "imu_"))
     }
 
 
@@ -63,6 +62,7 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
             ),
             file=recording.source,
         )
+    recording = with_inertial_base(recording, model)
     contact = _closed_contacts(recording, model) if model.contacts else None
     q, notes = _pose(recording, model)
     qd, qdd = _rates(recording, model, q)
@@ -120,7 +120,8 @@ def _pose(recording: Recording, model: RobotModel) -> tuple[Array, list[str]]:
     position = _columns(
         recording, POSITION[: 2 if model.n_floating == 3 else 3], "where the base is"
     )
-    quaternion, notes = _unit_quaternions(recording)
+    logged = _columns(recording, QUATERNION, "how the base is turned")
+    quaternion, notes = unit_quaternions(recording, logged, QUATERNION)
     angles = yaw_pitch_roll(quaternion)
     if model.n_floating == 3:
         return np.column_stack([position, np.unwrap(angles[:, 0])]), notes
@@ -138,27 +139,6 @@ def _pose(recording: Recording, model: RobotModel) -> tuple[Array, list[str]]:
             value=float(angles[first, 1]),
         )
     return np.column_stack([position, np.unwrap(angles, axis=0)]), notes
-
-
-def _unit_quaternions(recording: Recording) -> tuple[Array, list[str]]:
-    """Return quaternions (N, 4), x y z w, of length 1."""
-    quaternion = _columns(recording, QUATERNION, "how the base is turned")
-    length = np.linalg.norm(quaternion, axis=1)
-    off = np.abs(length - 1.0)
-    worst = int(np.nanargmax(off)) if np.isfinite(off).any() else 0
-    if not off[worst] <= UNIT_LENGTH:
-        raise RecordingError(
-            f"{recording.source}: the quaternion {' '.join(QUATERNION)} has length"
-            f" {length[worst]:.4g} at sample {worst}; a rotation has length 1",
-            cure=Cure("normalise it where it is logged, or check that the columns are quaternions"),
-            file=recording.source,
-            value=float(length[worst]),
-            expected=1.0,
-        )
-    notes = []
-    if off[worst] > 1e-4:
-        notes.append(f"quaternions were normalised (length off by up to {off[worst]:.2g})")
-    return quaternion / length[:, None], notes
 
 
 def yaw_pitch_roll(quaternion: Array) -> Array:
