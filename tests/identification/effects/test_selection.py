@@ -16,7 +16,14 @@ from scipy import stats
 
 from asbuilt.identification.effects.effect import Effect
 from asbuilt.identification.effects.gathering import Candidate, EffectEquations
-from asbuilt.identification.effects.selection import RULES, Prior, Selection, Trial, worth_of
+from asbuilt.identification.effects.selection import (
+    RULES,
+    Prior,
+    Selection,
+    Trial,
+    _best_form,
+    worth_of,
+)
 
 BASE, ALL, BLOCKS, SAMPLES = 4, 10, 12, 30
 SUPPORT = (np.array([0, 1, 2, 4, 7, 8]), np.array([1, 2, 3, 5, 6, 7, 8, 9]), np.array([3, 7, 8]))
@@ -360,6 +367,23 @@ def test_what_is_taken_follows_the_rules(trial, taken, without_cad) -> None:
     """Where CAD holds no bodies, that they come nearer to it is no reason."""
     assert trial.is_taken(10, ROBOT, held=True) is taken
     assert trial.is_taken(10, ROBOT, held=False) is without_cad
+
+
+@pytest.mark.parametrize(
+    ("relief", "joint", "key", "preferred"),
+    [
+        pytest.param([0.6, 0.7, 0.6, 0.7], 0, "one", True, id="another form"),
+        pytest.param([0.2, 0.7, 0.3, 0.6], 0, "one", False, id="hardly better"),
+        pytest.param([0.6, 0.7, 0.6, 0.7], 1, "one", False, id="another joint"),
+        pytest.param([0.6, 0.7, 0.6, 0.7], 0, "two", False, id="another kind"),
+    ],
+)
+def test_of_one_kind_the_form_that_predicts_other_motion_is_taken(
+    relief, joint, key, preferred
+) -> None:
+    plain = held([0.3, 0.5, 0.4, 0.4])
+    other = held(relief, worth=40.0, key=key, joint=joint, columns=3)
+    assert (_best_form(plain, [plain, other]) is other) is preferred
 
 
 def test_a_size_that_no_robot_has_is_not_sure() -> None:

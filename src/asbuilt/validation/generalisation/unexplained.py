@@ -92,8 +92,8 @@ def _is_push(error: Array, spread: float) -> bool:
 class ReturningRules:
     """Say when a torque error returns with the state of its joint: own choices."""
 
-    order: int = 24
-    """Half waves over the range of positions, at most a turn: a dozen teeth or poles."""
+    order: int = 36
+    """Half waves over the range of positions, at most a turn: 18 teeth or poles."""
     stiff: tuple[float, ...] = (1.0, 10.0, 100.0)
     """Trial weights of the prior, in samples."""
     folds: int = 8
