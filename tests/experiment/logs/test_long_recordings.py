@@ -103,8 +103,8 @@ def test_text_that_is_read_in_parts_is_the_whole_text(tmp_path, monkeypatch) -> 
         monkeypatch.setattr(delimited, "AT_ONCE", at_once)
         dialect = delimited.find_dialect(log)
         whole = delimited.read_delimited(log, dialect).columns
-        frames = list(delimited._frames(log, RecordingSheet(), dialect.names, 128))
-        assert [first for first, _ in frames] == list(range(0, 900, 128))
+        chunks = list(delimited._chunks(log, RecordingSheet(), dialect.names, 128))
+        assert [first for first, _ in chunks] == list(range(0, 900, 128))
         for name, values in whole.items():
-            parts = np.concatenate([frame[name].to_numpy() for _, frame in frames])
+            parts = np.concatenate([chunk[name] for _, chunk in chunks])
             np.testing.assert_array_equal(parts, values)

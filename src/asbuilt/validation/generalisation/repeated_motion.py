@@ -37,29 +37,31 @@ def repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
     """
     if held_out.q.shape[1] < NEAR.fewest_joints:
         return 0.0
-    before, after = np.concatenate([_states(samples) for samples in fitted]), _states(held_out)
-    joints = before.shape[1] // 2
-    size = np.concatenate(
-        [
-            NEAR.position * np.ptp(before[:, :joints], axis=0),
-            NEAR.velocity * np.abs(before[:, joints:]).max(axis=0),
-        ]
-    )
+    (q, qd), joints = _states(fitted), held_out.q.shape[1]
+    fastest = np.maximum(qd.max(axis=0), -qd.min(axis=0))
+    size = np.concatenate([NEAR.position * np.ptp(q, axis=0), NEAR.velocity * fastest])
     moving = size > 0.0
     if not moving[:joints].sum() >= NEAR.fewest_joints:
         return 0.0
-    tree = KDTree((before[:: _step(len(before))] / np.where(moving, size, 1.0))[:, moving])
+    before, after = _thinned(q, qd), _thinned(*_states([held_out]))
+    tree = KDTree((before / np.where(moving, size, 1.0))[:, moving])
     distance, _ = tree.query(
-        (after[:: _step(len(after))] / np.where(moving, size, 1.0))[:, moving],
+        (after / np.where(moving, size, 1.0))[:, moving],
         p=np.inf,
         distance_upper_bound=1.0,
     )
     return float(np.mean(np.isfinite(distance)))
 
 
-def _states(samples: Samples) -> NDArray[np.float64]:
-    return np.hstack([samples.in_segments(x) for x in (samples.q, samples.qd)])
+def _states(samples: Sequence[Samples]) -> list[NDArray[np.float64]]:
+    """Return all positions and velocities (N, n), without a copy of those of one recording."""
+    pairs = zip(
+        *([each.in_segments(x) for x in (each.q, each.qd)] for each in samples), strict=True
+    )
+    return [parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in pairs]
 
 
-def _step(count: int) -> int:
-    return max(1, count // NEAR.most_states)
+def _thinned(q: NDArray[np.float64], qd: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return states (q, qd), evenly spread."""
+    step = max(1, len(q) // NEAR.most_states)
+    return np.hstack([q[::step], qd[::step]])
