@@ -17,7 +17,6 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.inertial_sensor import with_inertial_base
 from asbuilt.experiment.free_base.measured_forces import (
     force_columns,
     pressed,
@@ -66,7 +65,12 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
             ),
             file=recording.source,
         )
-    recording = with_inertial_base(recording, model)
+    if any(name.startswith("imu_") for name in recording.extra):
+        from asbuilt.experiment.free_base.inertial_sensor import (  # noqa: PLC0415 - light start
+            with_inertial_base,
+        )
+
+        recording = with_inertial_base(recording, model)
     contact = _closed_contacts(recording, model) if model.contacts else None
     q, notes = _pose(recording, model)
     qd, qdd = _rates(recording, model, q)

@@ -10,9 +10,9 @@ from functools import partial
 from itertools import permutations, product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from asbuilt.arrays import Array
+from asbuilt.description.rotation import rotation_z
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.free_base.standing_feet import (
     RULES,
@@ -52,6 +52,7 @@ def unit_quaternions(
 
 
 def refuse_units(recording: Recording, f: Array, g: float) -> None:
+    """Refuse a specific force (N, 3) whose mean is not of the size g [m/s^2] of gravity."""
     size = float(np.linalg.norm(f.mean(axis=0)))  # motion that stays in place has no mean
     if abs(size - g) <= RULES.gravity * g:
         return
@@ -98,7 +99,8 @@ def refuse_turn(
     if angle > RULES.upright / 3.0:
         raise wrong_sensor(
             recording,
-            f"has imu_qx .. imu_qw in which gravity is {np.rad2deg(angle):.0f} deg off the vertical",
+            f"has imu_qx .. imu_qw in which gravity is {np.rad2deg(angle):.0f} deg off the"
+            " vertical",
             FORWARD,
         )
     off_rates = [float(np.mean((w - spin_of(x, recording.t)) ** 2)) for x in (R, inverse)]
@@ -158,7 +160,7 @@ def refuse_heading(
 
     best = RULES.share * off(w, R, v)
     for quarters in (1, 2, 3):
-        M = Rotation.from_euler("z", 90 * quarters, degrees=True).as_matrix()
+        M = rotation_z(0.5 * np.pi * quarters)
         turned = R @ M.T
         moved, _ = velocity_of_base(turned, f @ M.T, feet, w @ M.T, recording.rate, gravity)
         if off(w @ M.T, turned, moved) < best:
@@ -192,4 +194,5 @@ def _readings() -> list[tuple[Array, str]]:
 
 
 def wrong_sensor(recording: Recording, what: str, cure: str) -> RecordingError:
+    """Return the error of a recording whose sensor is wrong."""
     return RecordingError(f"{recording.source} {what}", cure=Cure(cure), file=recording.source)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.description.model import RobotModel
@@ -132,6 +131,8 @@ def slow_part(x: Array, frequency: float, rate: float) -> Array:
     A recursive filter extends them so that it passes through the first and last sample, which are
     as noisy as any.
     """
+    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - light start
+
     width = rate / (2.0 * np.pi * frequency)
     return np.asarray(gaussian_filter1d(x, width, axis=0, mode="reflect"))
 
