@@ -110,8 +110,8 @@ def _columns(recording: Recording, names: list[str] | tuple[str, ...], what: str
     if missing:
         raise RecordingError(
             f"{recording.source} has no column {missing[0]!r}, {what}; a free base needs"
-            f" {' '.join((*POSITION, *QUATERNION))}, or an inertial sensor (imu_wx .., imu_ax ..), and"
-            " contact_NAME of every contact, or its force contact_NAME_fx, _fy, _fz",
+            f" {' '.join((*POSITION, *QUATERNION))}, or an inertial sensor (imu_wx .., imu_ax ..),"
+            " and contact_NAME of every contact, or its force contact_NAME_fx, _fy, _fz",
             cure=Cure("add it to the log, or rename the column"),
             file=recording.source,
             value=missing,
