@@ -40,7 +40,7 @@ def sensed(pose: Recording, log: dict[str, Array]) -> dict[str, Array]:  # noqa:
     place = pose.q[:, :3] + R @ PLACEMENT[:3, 3]
     turn = R @ PLACEMENT[:3, :3]
     acceleration = np.gradient(np.gradient(place, t, axis=0), t, axis=0)
-    force = np.einsum("sji,sj->si", turn, acceleration + [0.0, 0.0, 9.81])
+    force = np.einsum("sji,sj->si", turn, acceleration + np.array([0.0, 0.0, 9.81]))
     spin = np.einsum("sji,sjk->sik", turn, np.gradient(turn, t, axis=0))
     rates = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
     quaternion = Rotation.from_matrix(turn).as_quat()
@@ -75,10 +75,9 @@ def test_base_is_that_of_the_pose(
     up, wanted = (base_rotations(x.q)[:, 2] for x in (found, pose))
     # An offset of 0.05 m/s^2 cannot be told from a tilt of 0.3 deg without a quaternion.
     assert np.abs(up - wanted).max() < (0.003 if turned else 0.015)
-    assert found.qd is not None and pose.qd is not None
-    own, true = (
-        np.einsum("sji,sj->si", base_rotations(x.q), x.qd[:, :3]) for x in (found, pose)
-    )
+    assert found.qd is not None
+    assert pose.qd is not None
+    own, true = (np.einsum("sji,sj->si", base_rotations(x.q), x.qd[:, :3]) for x in (found, pose))
     assert np.sqrt(np.mean((own - true) ** 2)) < 0.2 * true.std()  # steps have kinks at 100 Hz
     assert not {each.code for each in free_base_findings(model, found)}
 
@@ -135,7 +134,7 @@ def test_a_sensor_whose_frame_is_not_stated_is_named(
 def test_quaternions_of_a_sensor_are_checked(model: RobotModel, sensed: dict[str, Array]) -> None:
     names = [f"imu_q{axis}" for axis in "xyzw"]
     long = sensed | {name: 1.1 * sensed[name] for name in names}
-    with pytest.raises(RecordingError, match="imu_qx imu_qy imu_qz imu_qw has length 1.1"):
+    with pytest.raises(RecordingError, match=r"imu_qx imu_qy imu_qz imu_qw has length 1\.1"):
         read_recording(long, model=model)
     x, y, z, w = (sensed[name] for name in names)
     inverse = sensed | dict(zip(names, (-x, -y, -z, w), strict=True))
@@ -147,8 +146,6 @@ def test_missing_columns_and_shifted_flags(model: RobotModel, sensed: dict[str, 
     lacking = {name: x for name, x in sensed.items() if name != "imu_ay"}
     with pytest.raises(RecordingError, match="no column 'imu_ay'"):
         read_recording(lacking, model=model)
-    late = {
-        name: np.roll(x, 5) if name.startswith("contact_") else x for name, x in sensed.items()
-    }
+    late = {name: np.roll(x, 5) if name.startswith("contact_") else x for name, x in sensed.items()}
     found = read_recording(late, model=model)
     assert "contact_timing" in {each.code for each in free_base_findings(model, found)}

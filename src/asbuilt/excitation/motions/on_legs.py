@@ -98,13 +98,12 @@ def _on_feet(model: RobotModel, posture: Array, t: Array) -> Iterator[LegMotion]
         each for k in range(feet) if feet > 1 for each in _lifting(model, posture, t, k, legs)
     ]
     if lifted:
-        yield LegMotion(
-            "lifting one foot after the other and swinging its leg",
-            *(
-                np.concatenate([getattr(each, name) for each in lifted])
-                for name in ("q", "qd", "qdd", "closed")
-            ),
+        q, qd, qdd = (
+            np.concatenate(parts)
+            for parts in zip(*((each.q, each.qd, each.qdd) for each in lifted), strict=True)
         )
+        closed = np.concatenate([each.closed for each in lifted])
+        yield LegMotion("lifting one foot after the other and swinging its leg", q, qd, qdd, closed)
     free = sorted(set(range(6, model.n_joints)).difference(*legs))
     if free:
         name = "standing and swinging all joints that carry no foot"
@@ -133,7 +132,7 @@ def _standing(
     """Yield the motion of a base (N, 6) on feet that stand, if these reach, else none."""
     rest = posture
     if not stands.all():
-        lifted = RULES.lift * _height(model, posture) * ~stands
+        lifted = np.asarray(RULES.lift * _height(model, posture) * ~stands, dtype=np.float64)
         rest, off = _on_ground(model, posture[None], posture, stands | True, lifted)
         rest = rest[0] if off else posture
     for k in range(RULES.halvings + 1):

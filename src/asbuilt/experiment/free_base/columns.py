@@ -3,7 +3,8 @@
 The pose is `base_x base_y base_z` [m] and the quaternion `base_qx base_qy base_qz base_qw` that
 turns base axes into those of the world. Velocities `base_vx .. base_wz`, if there are any, are in
 base axes, as are those of Pinocchio's free flyer. `contact_NAME` is 1 where the contact is closed.
-Measured forces are `contact_NAME_fx .. fz` and `mx .. mz`, and `base_fx .. base_mz`.
+Measured forces are `contact_NAME_fx .. fz` and `mx .. mz`, and `base_fx .. base_mz`. Where no pose
+is logged, columns `imu_..` take its place (`inertial_sensor`).
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.free_base.inertial_sensor import unit_quaternions, with_inertial_base
 from asbuilt.experiment.free_base.measured_forces import (
     force_columns,
     pressed,
     with_measured_forces,
 )
+from asbuilt.experiment.free_base.sensor_checks import unit_quaternions
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure
 
@@ -38,7 +39,9 @@ STEEPEST = np.deg2rad(80.0)
 def base_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Return the columns of a log that belong to a free base and its contacts."""
     return {
-        name: values for name, values in columns.items() if name.startswith(("base_", "contact_", "imu_"))
+        name: values
+        for name, values in columns.items()
+        if name.startswith(("base_", "contact_", "imu_"))
     }
 
 
@@ -62,7 +65,12 @@ def on_its_base(recording: Recording, model: RobotModel) -> Recording:
             ),
             file=recording.source,
         )
-    recording = with_inertial_base(recording, model)
+    if any(name.startswith("imu_") for name in recording.extra):
+        from asbuilt.experiment.free_base.inertial_sensor import (  # noqa: PLC0415 - light start
+            with_inertial_base,
+        )
+
+        recording = with_inertial_base(recording, model)
     contact = _closed_contacts(recording, model) if model.contacts else None
     q, notes = _pose(recording, model)
     qd, qdd = _rates(recording, model, q)
@@ -102,8 +110,8 @@ def _columns(recording: Recording, names: list[str] | tuple[str, ...], what: str
     if missing:
         raise RecordingError(
             f"{recording.source} has no column {missing[0]!r}, {what}; a free base needs"
-            f" {' '.join((*POSITION, *QUATERNION))} and contact_NAME of every contact,"
-            " or its force contact_NAME_fx, _fy, _fz",
+            f" {' '.join((*POSITION, *QUATERNION))}, or an inertial sensor (imu_wx .., imu_ax ..),"
+            " and contact_NAME of every contact, or its force contact_NAME_fx, _fy, _fz",
             cure=Cure("add it to the log, or rename the column"),
             file=recording.source,
             value=missing,

@@ -229,7 +229,10 @@ class ReadingOptions:
     )
     free_base: bool = field(
         default=False,
-        metadata={"help": "the robot stands on no fixed root: legs, drones, satellites"},
+        metadata={
+            "help": "the robot stands on no fixed root: legs, drones, satellites; the log has its"
+            " pose (base_x ..) or an inertial sensor (imu_wx .., imu_ax ..)"
+        },
     )
     contacts: str | None = field(
         default=None,

@@ -312,7 +312,7 @@ def _combinations(
 
 
 def weak_parameters(result: IdentificationResult) -> Indices:
-    """Return the base parameters whose error is above 10 % and matters, or that are undetermined."""
+    """Return the base parameters with an error above 10 % that matters, or undetermined."""
     dropped, poor = result.dropped, [each.poorly_determined for each in result.parameters]
     determined = np.array([each.determined for each in result.parameters]) & ~dropped
     size, error = _sizes(result), result.std_errors
@@ -404,7 +404,7 @@ def sample_information(
     rows = plan.evaluate(q, qd, qdd, buffer)
     if contact is not None:
         for own, each in zip(rows, noise, strict=False):
-            own /= each
+            np.divide(own, each, out=own)
         project(contact_basis(result.model, q, contact, noise), buffer, len(q))
     total = np.zeros((result.n_base, result.n_base))
     largest = float(result.sigma[np.isfinite(result.sigma)].max(initial=0.0))

@@ -73,7 +73,12 @@ def leg_advice(
     extras = (
         each.share
         * sample_information(
-            result, each.q, each.qd, each.qdd, each.closed * 1.0 if touching else None, noise
+            result,
+            each.q,
+            each.qd,
+            each.qdd,
+            each.closed.astype(np.float64) if touching else None,
+            noise,
         )
         for each in motions
     )
@@ -85,9 +90,10 @@ def leg_advice(
 def standing_posture(samples: Sequence[Samples]) -> Array:
     """Return the median position (n,) of samples where most contacts are closed."""
     q = np.concatenate([each.q for each in samples])
-    if any(each.contact is None for each in samples):
+    touched = [each.contact for each in samples if each.contact is not None]
+    if len(touched) < len(samples):
         return np.asarray(np.median(q, axis=0))
-    closed = np.concatenate([np.sum(each.contact > 0.0, axis=1) for each in samples])
+    closed = np.concatenate([np.sum(each > 0.0, axis=1) for each in touched])
     posture = np.median(q[closed == closed.max()], axis=0)
     if closed.max() == 0:
         posture[4:6] = 0.0  # it falls, and stands upright before it does
